@@ -57,7 +57,7 @@ def simulate() -> Press:
         raise TypeError("demo.yaml has a simulated rig")
     (joint_config,), (tendon,) = config.rig.joints, load_tendon_configs(config, 1)
     joint = build_joint(replace(joint_config, environment=WALL))
-    model = replace(tendon, tension_noise=NOISE_N, displacement_noise=NOISE_M).model()
+    model = replace(tendon, tension_noise=NOISE_N, displacement_noise=NOISE_M).build_model()
     sheath = joint_config.tendons[0].sheath
     friction = sheath.friction * divide_sheath(sheath)[1]
     t = np.arange(round(END_S * RATE)) / RATE

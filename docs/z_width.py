@@ -22,7 +22,7 @@ from studies.transparency.rig import TENDON, Rig, wall
 from studies.transparency.study import CONTACT, FRICTION, HANDS, PRETENSION, SPRING, Study
 from studies.transparency.system import Network, Teleoperator, rig_model, settings
 from teleop.coupling import Bilateral
-from teleop.runtime.parallel import count_processors, parallel_map
+from teleop.runtime.parallel import count_processors, map_in_parallel
 
 IMAGE = Path(__file__).parent / "images" / "z-width.svg"
 STUDY = Study()
@@ -124,7 +124,7 @@ def draw(found: dict[Cell, float]) -> Figure:
 def main() -> None:
     """Measure, print and draw."""
     cells = [Cell(name, lag, b) for name, lag in CURVES for b in DAMPINGS]
-    found = dict(zip(cells, parallel_map(stiffest, cells, count_processors()), strict=True))
+    found = dict(zip(cells, map_in_parallel(stiffest, cells, count_processors()), strict=True))
     for cell, stiffness in found.items():
         b = cell.damping + HAND.damping
         bounds = f"2 b/T {sampling_bound(b):.0f}, loop {loop_bound(b, cell.lag):.0f}"

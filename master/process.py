@@ -404,11 +404,11 @@ class MasterProcess(LoopProcess):
         return f"{difference}joints from {axes + 1} on are not moved"
 
     def _end_on_device_fault(self, error: DeviceFault) -> Reason:
-        self._end(TeleopError(f"haptic device: {error}"))
+        self._end_session(TeleopError(f"haptic device: {error}"))
         return Reason.DEVICE_FAULT
 
     def _end_on_extension_fault(self, error: ExtensionFault) -> Reason:
-        self._end(error)
+        self._end_session(error)
         return Reason.EXTENSION_FAULT
 
     def _publish_session(self, outline: SessionOutline) -> None:

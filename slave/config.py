@@ -222,7 +222,7 @@ def _find_model_warnings(config: SlaveConfig, coupling: CouplingConfig) -> list[
 
 def to_tendon_config(tendon: TendonPlantConfig, pretension: float) -> TendonConfig:
     """Return the true parameters of a simulated tendon as a config; `pretension` in N."""
-    step, loop = tendon.encoder.resolution(tendon.motor.pulley_radius), tendon.loop
+    step, loop = tendon.encoder.compute_resolution(tendon.motor.pulley_radius), tendon.loop
     bend = sum(section.length / section.radius for section in tendon.sheath.sections)
     return TendonConfig(
         friction=tendon.sheath.friction,

@@ -114,7 +114,7 @@ class SlaveExtensions:
         measured = HousingSample(
             dt, sample.proximal_tension.copy(), None if travel is None else travel.copy()
         )
-        returned = estimator.fields("step", estimator.call("step", measured), TipEstimate)
+        returned = estimator.check_tuple("step", estimator.call("step", measured), TipEstimate)
         limits = *((TIP_TENSION_RATIO * self._gate.tension_max, "N"),) * 3, (self._travel_max, "m")
         named = zip(TipEstimate._fields, returned, limits, strict=True)
         tension, low, high, elongation = (
@@ -124,7 +124,7 @@ class SlaveExtensions:
         if not ((low <= tension) & (tension <= high)).all():
             ends = f"low {low.tolist()} and high {high.tolist()} [N]"
             text = f"tension {tension.tolist()} is not between {ends}"
-            raise estimator.fault("step", text)
+            raise estimator.build_fault("step", text)
         return tension, low, high, elongation
 
     def run_tick(
@@ -147,7 +147,7 @@ class SlaveExtensions:
             following = self._may_follow(tick_input, memories, commands)
             if following:
                 loop.compute_port_forces(*records, commands)
-                motion = self._once(
+                motion = self._compute_once(
                     "move", lambda: self._move_tips(coupling, tick_input.dt, commands)
                 )
                 side = memories["coupling"]
@@ -158,7 +158,9 @@ class SlaveExtensions:
             moving = engaged and tick_input.motors_follow
             target = scratches["motor_position"][0, : self._tendons]
             if moving:
-                target = self._once("step", lambda: self._control(controller, tick_input.dt))
+                target = self._compute_once(
+                    "step", lambda: self._control(controller, tick_input.dt)
+                )
             self._was_moving = moving
             scratches["own_target"][0, : self._tendons] = target
             scratches["has_own_target"] = True
@@ -167,7 +169,7 @@ class SlaveExtensions:
             states["wave"][0, :n] = sent
         return verdict
 
-    def _once(self, name: str, compute: Callable[[], Any]) -> Any:
+    def _compute_once(self, name: str, compute: Callable[[], Any]) -> Any:
         """Return the result of this tick."""
         if name not in self._results:
             self._results[name] = compute()
@@ -190,7 +192,7 @@ class SlaveExtensions:
         if not all(np.isfinite(values).all() for values in copies):  # which the tick refuses
             return copies[0], copies[1], np.zeros(n)
         port = TipPort(dt, not self._was_following, *copies)
-        returned = coupling.fields("move", coupling.call("move", port), TipMotion)
+        returned = coupling.check_tuple("move", coupling.call("move", port), TipMotion)
         limits = (MOTION_MAX, "m"), (MOTION_MAX, "m/s"), (SIGNAL_MAX, "")
         position, velocity, sent = (
             coupling.check("move", name, values, n, *limit)
@@ -199,7 +201,7 @@ class SlaveExtensions:
         lead = float(np.abs(position - copies[0]).max())
         if lead > self._travel_max:
             text = f"position is {lead:g} m from the commanded one, at most {self._travel_max:g} m"
-            raise coupling.fault("move", text)
+            raise coupling.build_fault("move", text)
         return position, velocity, sent
 
     def _control(self, controller: CheckedExtension, dt: float) -> Array:
@@ -226,5 +228,5 @@ class SlaveExtensions:
         jump = float(np.abs(target - motor).max())
         if jump > self._travel_max:
             text = f"target is {jump:g} m from the motor, at most {self._travel_max:g} m"
-            raise controller.fault("step", text)
+            raise controller.build_fault("step", text)
         return target

@@ -140,7 +140,7 @@ def find_friction_warnings(
     """
     warnings: dict[str, None] = {}
     for calibrated_tendon, used_tendon in zip(calibrated, used, strict=True):
-        K_before, K = calibrated_tendon.model().sheath.K, used_tendon.model().sheath.K
+        K_before, K = calibrated_tendon.build_model().sheath.K, used_tendon.build_model().sheath.K
         if (
             used_tendon.model_file != calibrated_tendon.model_file
             and not K_before / FRICTION_RATIO_MAX <= K <= K_before * FRICTION_RATIO_MAX
@@ -152,7 +152,7 @@ def find_friction_warnings(
 
 def describe_effects(tendon: TendonConfig) -> list[str]:
     """Return how the loop uses each effect in a tendon's model file."""
-    extended = tendon.extended()
+    extended = tendon.load_extended_model()
     if extended is None or tendon.model_file is None:
         return []
     warnings = []

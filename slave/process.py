@@ -179,11 +179,11 @@ class SlaveProcess(LoopProcess):
         self._link.publish_packet(STATE, self._state)
         publish_event(self._link, Role.SLAVE, last, f"off: {self.ended or 'ended'}")
 
-    def summary(self) -> LoopSummary:
+    def summarise(self) -> LoopSummary:
         """Return the figures of the run."""
         force_error = cast("ForceError | None", self._score.summarise())
-        rig = RigSummary(force_error, self._rig.summary(), self._telemetry.describe_friction())
-        return replace(super().summary(), rig=rig)
+        rig = RigSummary(force_error, self._rig.summarise(), self._telemetry.describe_friction())
+        return replace(super().summarise(), rig=rig)
 
     def _move_rig(self) -> None:
         """Write the gated positions, if any; an emergency stop uses the motors' own means.
@@ -270,9 +270,9 @@ class SlaveProcess(LoopProcess):
 
     def _end_on_fault(self, error: RigFault | ExtensionFault) -> Reason:
         if isinstance(error, ExtensionFault):
-            self._end(error)
+            self._end_session(error)
             return Reason.EXTENSION_FAULT
-        self._end(TeleopError(f"rig: {error}"))
+        self._end_session(TeleopError(f"rig: {error}"))
         return Reason.RIG_FAULT
 
     def _finish_tick(self, tick: Tick, time_s: float, requests: Requests) -> int:
@@ -414,7 +414,7 @@ def _load_rig_model(
     not_ready_text = find_not_ready_reason(config, rig, modelled=bool(files))
     return loop.build_rig_model(
         rig.joints,
-        [tendon.model() for tendon in tendons],
+        [tendon.build_model() for tendon in tendons],
         not_ready_text,
         load_arms(config, shared.arms),
     )
@@ -460,12 +460,12 @@ def _calibrate_rig(
         history.start_ns,
         stopped=check_stop,
         progress=build_progress_printer(rig),
-        analysing=stop.interrupting,
+        analysing=stop.allow_interrupt,
         arms=shared.arms,
     )
     publish_event(link, Role.SLAVE, SessionOutline(), f"off: {rig.name} is calibrated")
     arms = apply_guide_friction(shared.arms, result.calibration.guides)
-    models = [tendon.model() for tendon in result.calibration.tendons]
+    models = [tendon.build_model() for tendon in result.calibration.tendons]
     return loop.build_rig_model(rig.joints, models, arms=arms), history._replace(
         samples=result.samples, motor=result.motor
     )

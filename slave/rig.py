@@ -84,7 +84,7 @@ class Rig(Protocol):
         advance. A real rig returns None.
         """
 
-    def summary(self) -> dict[str, int | float | str]:
+    def summarise(self) -> dict[str, int | float | str]:
         """Return the rig's entries for the run summary, often none; never raises."""
 
     def close(self) -> None:

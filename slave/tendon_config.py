@@ -51,14 +51,14 @@ class TendonConfig:
             raise ValueError("sections: required with friction, and only with it")
         if len(self.sections) > MAX_MESSAGE_SECTIONS:
             raise ValueError(f"sections: at most {MAX_MESSAGE_SECTIONS}")
-        self.model()
+        self.build_model()
 
     def _refuse_beside_model_file(self) -> None:
         for item in fields(self):
             if item.name in _IN_MODEL_FILE and getattr(self, item.name) != item.default:
                 raise ValueError(f"{item.name}: conflicts with model_file; use one of them")
 
-    def extended(self) -> ExtendedModel | None:
+    def load_extended_model(self) -> ExtendedModel | None:
         """Return the extended model of the model file, None without one."""
         if self.model_file is None:
             return None
@@ -70,9 +70,9 @@ class TendonConfig:
         except SheathError as error:
             raise UsageError(f"{self.model_file}: {error}") from error
 
-    def model(self) -> TendonModel:
+    def build_model(self) -> TendonModel:
         """Return the estimator's model of this tendon."""
-        extended = self.extended()
+        extended = self.load_extended_model()
         if extended is not None:
             sheath = extended.sheath
         elif self.effective_friction is not None:

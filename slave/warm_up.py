@@ -98,7 +98,7 @@ def _build_example(
     config: SlaveConfig, arms: Sequence[ArmConfig] = ()
 ) -> tuple[loop.SlaveRecords, StructArray, Packet[SlaveState]]:
     """Return a slave of one tendon, a sample of it, and room for its state."""
-    tendon = TendonConfig(effective_friction=1.0).model()
+    tendon = TendonConfig(effective_friction=1.0).build_model()
     model = loop.build_rig_model(((0,),), [tendon], arms=[ArmConfig()] if arms else [])
     example = SlaveConfig(adaptation=config.adaptation)
     slave = loop.init_slave(model, example, loop.DIRECT, starts_at_zero=True)

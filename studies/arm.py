@@ -166,7 +166,7 @@ def run_slave(
     )
     rig = SimulatedRig(config)
     tendons = tendons or load_tendon_configs(slave_config, rig.tendons)
-    model = loop.build_rig_model(rig.joints, [t.model() for t in tendons], arms=[arm])
+    model = loop.build_rig_model(rig.joints, [t.build_model() for t in tendons], arms=[arm])
     slave = loop.init_slave(model, slave_config, loop.DIRECT, starts_at_zero=True)
     memory: SlaveMemory = view_struct(slave.memory)
     command, state = Packet(Command), Packet(SlaveState)

@@ -20,7 +20,7 @@ class FakeLink:
 
     nonce, clock = 5, None
     is_present = skip_unsubscribed = staticmethod(lambda *_: False)
-    refused = forged = staticmethod(lambda _topic: 0)
+    count_refused = count_forged = staticmethod(lambda _topic: 0)
     list_last_sequences = staticmethod(lambda: NO_TOPICS)
 
     def __init__(self, topic, limit_ns):
@@ -71,7 +71,7 @@ class FakeLink:
     def has_right(self, nonce, right):
         return right == "stop" or self.is_announced(nonce)
 
-    def counts(self):
+    def count_messages(self):
         return self.received.counts
 
     def check_peers(self):
@@ -88,7 +88,7 @@ class FakeLink:
 class Until:
     """Stops after a number of ticks, or when asked to."""
 
-    interrupting = nullcontext
+    allow_interrupt = nullcontext
 
     def __init__(self, ticks):
         self.left, self.reason = ticks, ""

@@ -123,7 +123,7 @@ def check_rig(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
                     [
                         *format_rest_measurement(rest, config.gate),
                         *format_counts(rig),
-                        *(f"{key}: {value}" for key, value in rig.summary().items()),
+                        *(f"{key}: {value}" for key, value in rig.summarise().items()),
                     ]
                 )
             )

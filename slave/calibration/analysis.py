@@ -205,7 +205,9 @@ def _compute_joint_range(
     """
     name = f"joint {pulled[0].joint + 1}"
     if len(pulled) == 1:
-        ranges = [directions[0].stop - float(pulled[0].travel[pulled[0].rows(Phase.SEEK)][0])]
+        ranges = [
+            directions[0].stop - float(pulled[0].travel[pulled[0].select_rows(Phase.SEEK)][0])
+        ]
     else:
         ranges = [
             direction.stop - _compute_drawn_out_travel(tendon, antagonist, direction)
@@ -237,5 +239,5 @@ def _compute_drawn_out_travel(
     tendon: PulledTendon, antagonist: PulledTendon, direction: TendonCalibration
 ) -> float:
     """Return the travel [m] of the unstretched tendon with the joint at the other tendon's stop."""
-    rows = np.flatnonzero(antagonist.rows(Phase.SEEK))[-5:]
+    rows = np.flatnonzero(antagonist.select_rows(Phase.SEEK))[-5:]
     return float(np.median(tendon.travel[rows] - direction.M_rel.value * tendon.tension[rows]))

@@ -140,7 +140,7 @@ def main(args: argparse.Namespace) -> int:
                 progress=build_progress_bar(rig)
                 if sys.stderr.isatty()
                 else build_progress_printer(rig),
-                analysing=stop.interrupting,
+                analysing=stop.allow_interrupt,
                 arms=shared.arms,
             )
         except CalibrationInterrupted as error:

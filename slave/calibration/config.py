@@ -61,7 +61,7 @@ class InitialiseConfig:
         if not max(self.low, self.take_up, self.keep) <= 0.25 * self.tension:
             raise ValueError("tension: must be four times low, take_up and keep, or more")
 
-    def quick(self) -> "InitialiseConfig":
+    def to_quick(self) -> "InitialiseConfig":
         """Return the settings of the quick procedure: one loop, less than 20 s per joint."""
         return replace(
             self,

@@ -80,7 +80,7 @@ def initialise(
     in_part = len(chosen) < len(rig.joints)
     if in_part:
         _require_earlier_calibration(rig, earlier)
-    procedure = config.initialise.quick() if quick else config.initialise
+    procedure = config.initialise.to_quick() if quick else config.initialise
     limits = ProcedureLimits(procedure, config.gate)
     try:
         ratio = assemble_tendon_rows(arms, rig.joints).travel[[joint[0] for joint in rig.joints]]

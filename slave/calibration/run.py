@@ -131,13 +131,13 @@ def run_procedure(
             drive.tick((tick.stamp_ns - start_ns) * 1e-9, tick.dt, stopped() or unseen)
             if drive.newest is not None and not unseen:
                 try:
-                    progress(drive.progress((tick.stamp_ns - began_ns) * 1e-9))
+                    progress(drive.compute_progress((tick.stamp_ns - began_ns) * 1e-9))
                 except OSError as error:
                     unseen = f"the progress cannot be printed ({error.strerror}): stopped"
             if drive.over:
                 break
         drive.announce_pause()
-    return drive.result()
+    return drive.build_result()
 
 
 class _ProcedureRun:
@@ -222,7 +222,7 @@ class _ProcedureRun:
         except RigFault as error:
             raise TeleopError(f"rig: {error}") from error
 
-    def progress(self, time_s: float) -> ProcedureProgress:
+    def compute_progress(self, time_s: float) -> ProcedureProgress:
         """Return the progress `time_s` [s] after the start."""
         finished = [
             procedure_state.compute_progress(self._limits.initialise, m) for m in self._memories
@@ -235,7 +235,7 @@ class _ProcedureRun:
             share = self._stage / len(self._stages)
         return ProcedureProgress(time_s, j + 1, memory.phase, memory.side, share, memory.tension)
 
-    def result(self) -> ProcedureResult:
+    def build_result(self) -> ProcedureResult:
         """Return the measurements, or raise the reason of the abort."""
         refusal = next((m.refusal for m in self._memories if m.refusal), "")
         if refusal:
@@ -371,7 +371,7 @@ class _ProcedureRun:
         motor = np.array(self._motor)
         for j, joint in enumerate(self._rig.joints):
             k = list(joint)
-            motor[k], self._verdicts[j] = self._gated(
+            motor[k], self._verdicts[j] = self._apply_gate(
                 motor[k], np.array([target[i] for i in k]), tension[k].astype(np.float64), dt
             )
         self._motor = tuple(motor.tolist())
@@ -380,7 +380,7 @@ class _ProcedureRun:
         except RigFault as error:
             raise TeleopError(f"rig: {error}") from error
 
-    def _gated(
+    def _apply_gate(
         self, last: Array, target: Array, tension: Array, dt: float
     ) -> tuple[Array, GateFlags]:
         """Return the output of the gate for a joint [m], and its flags."""
@@ -410,7 +410,7 @@ class StationaryRig:
     def advance(self) -> None:
         """Do nothing."""
 
-    def summary(self) -> dict[str, int | float | str]:
+    def summarise(self) -> dict[str, int | float | str]:
         """Return nothing."""
         return {}
 

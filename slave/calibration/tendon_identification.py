@@ -80,7 +80,9 @@ class PulledTendon(NamedTuple):
         """Zero offset of its load cell [N]: the reading while the other tendon was pulled."""
         if len(self.record.joints[self.joint]) == 1:
             return None
-        slack = PulledTendon(self.record, self.joint, 1 - self.side).rows(Phase.RELEASE, Phase.PULL)
+        slack = PulledTendon(self.record, self.joint, 1 - self.side).select_rows(
+            Phase.RELEASE, Phase.PULL
+        )
         return float(np.mean(self.record.tension[slack, self.tendon]))
 
     @property
@@ -88,7 +90,7 @@ class PulledTendon(NamedTuple):
         """Motor travel [m] in the whole record."""
         return self.record.travel[:, self.tendon]
 
-    def rows(self, *phases: Phase) -> Rows:
+    def select_rows(self, *phases: Phase) -> Rows:
         """Return the mask of samples in which this tendon was pulled in one of these phases."""
         codes = [int(phase) for phase in phases]
         is_side = np.equal(self.record.side[:, self.joint], self.side)
@@ -107,17 +109,17 @@ class PulledTendon(NamedTuple):
         The stop is detected a little late; contact is where the line of the pull crosses the
         tension of the free joint.
         """
-        beyond_contact = self.rows(Phase.SEEK) & (self.travel >= self.contact.travel)
+        beyond_contact = self.select_rows(Phase.SEEK) & (self.travel >= self.contact.travel)
         slope = fit_slope(self.tension[beyond_contact], self.travel[beyond_contact]).value
         excess = max(0.0, self.contact.tension - self.free_tension)
         contact_travel = self.contact.travel - slope * excess
-        return self.rows(Phase.SEEK) & np.greater_equal(self.travel, contact_travel)
+        return self.select_rows(Phase.SEEK) & np.greater_equal(self.travel, contact_travel)
 
     @property
     def free_tension(self) -> float:
         """The tension [N] at which the joint moved just before its stop."""
         ahead = self.contact.travel - self.travel
-        rows = self.rows(Phase.SEEK) & (ahead < FREE_TRAVEL[0]) & (ahead > FREE_TRAVEL[1])
+        rows = self.select_rows(Phase.SEEK) & (ahead < FREE_TRAVEL[0]) & (ahead > FREE_TRAVEL[1])
         return float(np.median(self.tension[rows])) if rows.any() else self.contact.tension
 
 
@@ -129,9 +131,9 @@ def extract_loops(pulled: PulledTendon, low: float) -> list[HysteresisLoop]:
     stop near its end is left out with its release.
     """
     of_release = pulled.record.releases[:, pulled.joint]
-    count = int(of_release[pulled.rows(Phase.RELEASE)].max()) + 1
-    pulls = [pulled.rows(Phase.PULL) & (of_release == i) for i in range(count)]
-    releases = [pulled.rows(Phase.RELEASE) & (of_release == i) for i in range(count)]
+    count = int(of_release[pulled.select_rows(Phase.RELEASE)].max()) + 1
+    pulls = [pulled.select_rows(Phase.PULL) & (of_release == i) for i in range(count)]
+    releases = [pulled.select_rows(Phase.RELEASE) & (of_release == i) for i in range(count)]
     pulls[0] = pulled.first_pull
     if pulls[0].sum() < PULL_SAMPLES_MIN:
         pulls, releases = pulls[1:], releases[1:]
@@ -260,7 +262,7 @@ def _build_tendon_config(
     """Return the estimator parameters; several sections if the curvature is uneven."""
     model = calibration.build_sheath(sheath.length)
     is_uniform = len(model.sections) == 1
-    moving = pulled.rows(Phase.PULL, Phase.RELEASE)
+    moving = pulled.select_rows(Phase.PULL, Phase.RELEASE)
     return TendonConfig(
         effective_friction=round_significant(calibration.K.value) if is_uniform else None,
         length=sheath.length,

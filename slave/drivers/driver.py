@@ -72,7 +72,7 @@ class BusDriver(Protocol):
         A cycle without a target follows at once.
         """
 
-    def counts(self) -> dict[str, int | float | str]:
+    def summarise(self) -> dict[str, int | float | str]:
         """Return the driver's entries for the summary, lost frames for example."""
 
     def close(self) -> None:

@@ -45,7 +45,7 @@ class ParentProcess:
         with contextlib.suppress(FileNotFoundError):
             self._file = os.open(f"/proc/{process}/stat", os.O_RDONLY | os.O_CLOEXEC)
 
-    def ends(self) -> bool:
+    def is_ending(self) -> bool:
         """Return whether the process is known to have ended, or to be about to."""
         if self._file is None:
             return False
@@ -107,7 +107,7 @@ def serve_driver(driver: BusDriver, end: socket.socket, slave: ParentProcess) ->
     finally:
         driver.close()
         with contextlib.suppress(OSError):
-            end.send(packets.pack_counts(driver.counts()))
+            end.send(packets.pack_counts(driver.summarise()))
         if fault:
             _send_packet(end, packets.pack_fault(fault))
 
@@ -125,7 +125,7 @@ def _run_cycles(driver: BusDriver, end: socket.socket, slave: ParentProcess) -> 
         if orders.stop:  # before the end of the slave, and before a target that came with it
             target = None
             driver.stop()
-        elif orders.ended or (orders.target is None and slave.ends()):
+        elif orders.ended or (orders.target is None and slave.is_ending()):
             return
         elif orders.target is not None:
             target, ordered_s, silent_s = orders.target, time.monotonic(), TARGET_TIMEOUT_S
@@ -140,7 +140,7 @@ def _run_cycles(driver: BusDriver, end: socket.socket, slave: ParentProcess) -> 
                 waiting.popleft()
             if time.monotonic() >= counts_s:
                 counts_s = time.monotonic() + COUNTS_S
-                end.send(packets.pack_counts(driver.counts()))
+                end.send(packets.pack_counts(driver.summarise()))
         if driver.period_s:
             now = time.monotonic()
             due_s = compute_next_due(due_s, now, driver.period_s)

@@ -73,16 +73,16 @@ class Turns:
     def step(self, memory: MotionState, sample: MotionSample) -> tuple[float, MotionState]:
         """See `Motion`."""
         leg = memory.leg
-        if self._direction(leg) * (sample.tension - self._level(leg)) >= 0.0:
+        if self._compute_direction(leg) * (sample.tension - self._compute_level(leg)) >= 0.0:
             leg += 1
-        target = memory.target + self._direction(leg) * self.speed * sample.dt
+        target = memory.target + self._compute_direction(leg) * self.speed * sample.dt
         return target, MotionState(leg, target)
 
-    def _level(self, leg: int) -> float:
+    def _compute_level(self, leg: int) -> float:
         return self.levels[leg % len(self.levels)]
 
-    def _direction(self, leg: int) -> float:
-        return 1.0 if leg == 0 or self._level(leg) > self._level(leg - 1) else -1.0
+    def _compute_direction(self, leg: int) -> float:
+        return 1.0 if leg == 0 or self._compute_level(leg) > self._compute_level(leg - 1) else -1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,12 +178,12 @@ class BenchRun(NamedTuple):
             self.distal_displacement[:, k],
         )
 
-    def columns(self) -> dict[str, Array]:
+    def to_columns(self) -> dict[str, Array]:
         """Return the columns of a measured-data file; tendons 2, 3, ... are numbered."""
         columns = {"time_s": self.time}
         loops = () if self.loop_tension is None else self.loop_tension
         for tendon in range(self.proximal_tension.shape[1]):
-            names = Columns.of_tendon(tendon + 1).names()
+            names = Columns.from_tendon(tendon + 1).list_names()
             del names["time"]
             columns |= {name: getattr(self, item)[:, tendon] for item, name in names.items()}
             if self.anchor_tension is not None:
@@ -196,7 +196,7 @@ class BenchRun(NamedTuple):
 
     def save(self, path: str | Path) -> None:
         """Write a measured-data file: .csv, .csv.gz or .parquet; `UsageError` if that fails."""
-        write_table(Path(path), self.columns())
+        write_table(Path(path), self.to_columns())
 
 
 def make_spring_bench(

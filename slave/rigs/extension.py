@@ -26,7 +26,7 @@ _ARRAYS = (
 )
 _REQUIRED = (
     *("name", "tendons", "joints", "starts_at_zero"),
-    *("read", "write", "advance", "summary", "close"),
+    *("read", "write", "advance", "summarise", "close"),
 )
 _OPTIONAL = ("follows", "emergency_stop", "announce_pause")
 
@@ -115,16 +115,16 @@ class CheckedRig:
             self._check(sample)
         return sample
 
-    def summary(self) -> dict[str, int | float | str]:
+    def summarise(self) -> dict[str, int | float | str]:
         """Return the rig's entries for the run summary; `error` if they are not as they must be."""
         try:
             entries: dict[str, int | float | str] = {
                 key: value.item() if isinstance(value, np.generic) else value
-                for key, value in self._rig.summary().items()
+                for key, value in self._rig.summarise().items()
             }
             json.dumps(entries)
         except Exception as error:
-            failure = format_call_failure(self._place, "summary", error)
+            failure = format_call_failure(self._place, "summarise", error)
             print_warning(failure)
             return {"error": failure}
         return entries

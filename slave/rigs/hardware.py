@@ -361,7 +361,7 @@ class HardwareRig:
     def advance(self) -> None:
         """Do nothing: the drivers have processes of their own."""
 
-    def summary(self) -> dict[str, int | float | str]:
+    def summarise(self) -> dict[str, int | float | str]:
         """Return samples, those too old to be used, the alignment error and the drivers' counts."""
         figures: dict[str, int | float | str] = {"samples": self._samples, "late": self._late}
         if self._aligner is not None:

@@ -69,7 +69,9 @@ class ReplayedRig:
         self.tendons = len(tables)
         self.joints: tuple[tuple[int, ...], ...] = tuple((k,) for k in range(self.tendons))
         self._loop = config.loop
-        self._read_as = " / ".join(format_reading(Reading.of(table).to_json()) for table in tables)
+        self._read_as = " / ".join(
+            format_reading(Reading.from_table(table).to_json()) for table in tables
+        )
         self._time = tables[0].time
         clean = [remove_spikes(table) for table in tables]
         for text in dict.fromkeys(text for data in clean for text in find_channel_faults(data)):
@@ -120,7 +122,7 @@ class ReplayedRig:
     def advance(self) -> None:
         """Do nothing: all rows are loaded."""
 
-    def summary(self) -> dict[str, int | float | str]:
+    def summarise(self) -> dict[str, int | float | str]:
         """Return the amount of data played, and how they were read."""
         counts = {"rows": len(self._time), "played": self._played, "spikes": self._spikes}
         return {**counts, "read_as": self._read_as}

@@ -236,7 +236,7 @@ class SimulatedRig:
         ]
         start = np.zeros(2)
         joints = [
-            schedule.at(0.0, 0.0, start[: len(tendons)]) or joint
+            schedule.update_joint(0.0, 0.0, start[: len(tendons)]) or joint
             for schedule, joint, tendons in zip(self._schedules, joints, self.joints, strict=True)
         ]
         self._arm = build_arm(config.arms, self.joints) if config.arms else None
@@ -256,7 +256,7 @@ class SimulatedRig:
         )
         sensors = build_sensors([(t.load_cell, t.encoder, t.motor) for t in plants])
         self._sensor_schedule = SensorSchedule(config.effects, self.joints, sensors)
-        self._sensors = self._sensor_schedule.at(0.0) or sensors
+        self._sensors = self._sensor_schedule.update_sensors(0.0) or sensors
         self._sensed = init_sensors(self._truth)
         self._measure(config.period)  # compiles
         self._effects = bool(config.effects)
@@ -307,7 +307,7 @@ class SimulatedRig:
         self._configured[joint] = goal
         self._ramps[joint] = EnvironmentRamp(self._environments[joint], build_environment(goal))
 
-    def summary(self) -> dict[str, int | float | str]:
+    def summarise(self) -> dict[str, int | float | str]:
         """Return the number of coarse reads."""
         return {"coarse_reads": self.coarse_reads}
 
@@ -376,12 +376,12 @@ class SimulatedRig:
     def _turn_effects(self, time: float, changing: Container[int]) -> None:
         for i, (schedule, tendons) in enumerate(zip(self._schedules, self.joints, strict=True)):
             _, housing, _, tip = self._truth[:, tendons]
-            joint = schedule.at(time, tip[0], housing, i in changing)
+            joint = schedule.update_joint(time, tip[0], housing, i in changing)
             if joint is not None:
                 replace_item(self._joints, i, joint)
                 for tendon, part in zip(tendons, joint[:2], strict=False):
                     self._loops.scale_friction(tendon, part.chain.knobs.friction_scale)
-        self._sensors = self._sensor_schedule.at(time) or self._sensors
+        self._sensors = self._sensor_schedule.update_sensors(time) or self._sensors
 
 
 # --- text descriptions of effects, and warnings for those that a run did not reach

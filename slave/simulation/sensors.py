@@ -39,7 +39,7 @@ class EncoderConfig(RangedConfig):
     lines: int = build_ranged_field(67_000, 0, 10**9)
     decoding: Literal[1, 2, 4] = 1  # counts per line; 4 = both edges of both tracks
 
-    def resolution(self, pulley_radius: float) -> float:
+    def compute_resolution(self, pulley_radius: float) -> float:
         """Return the tendon travel of one count [m] on a pulley of that radius [m]."""
         counts = self.lines * self.decoding
         return 2.0 * pi * pulley_radius / counts if counts else 0.0
@@ -100,7 +100,7 @@ def build_sensors(tendons: Sequence[tuple[LoadCellConfig, EncoderConfig, MotorCo
         sensors.noise[0, i] = cell.noise
         sensors.range[0, i] = cell.range
         sensors.resolution[0, i] = cell.resolution
-        sensors.resolution[1, i] = encoder.resolution(motor.pulley_radius)
+        sensors.resolution[1, i] = encoder.compute_resolution(motor.pulley_radius)
     return sensors
 
 

@@ -205,7 +205,7 @@ def describe_known(shape: Shape) -> tuple[Routing, list[Sheath], tuple[str, ...]
     joints = number_joint_tendons([1 if k in shape.single else 2 for k in range(len(shape.radii))])
     names = tuple(f"{k}{'ab'[i]}" for k, own in enumerate(joints, 1) for i in range(len(own)))
     routing = build_routing(joints, [ArmConfig(shape.radii, shape.friction, shape.wrap)])
-    sheaths = [tendon.model().sheath for tendon in load_tendon_configs(config, len(names))]
+    sheaths = [tendon.build_model().sheath for tendon in load_tendon_configs(config, len(names))]
     return routing, sheaths, names
 
 

@@ -22,7 +22,7 @@ from estimator.diagnosis.outcome import Verdict
 from estimator.effects import CATALOGUE
 from studies import hidden
 from studies.testbed.command import parse_options
-from teleop.runtime.parallel import count_processors, parallel_map
+from teleop.runtime.parallel import count_processors, map_in_parallel
 
 BENCHES = ("blocked", "spring")
 SIZES = (1.0, 0.5)
@@ -265,7 +265,7 @@ def main():
         args.only,
     )
     results = []
-    for result in parallel_map(partial(judge, oracle=not args.no_oracle), todo, args.jobs):
+    for result in map_in_parallel(partial(judge, oracle=not args.no_oracle), todo, args.jobs):
         results.append(result)
         show(result)
     summary(results)

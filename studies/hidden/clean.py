@@ -16,7 +16,7 @@ from estimator.diagnosis.outcome import Verdict
 from studies import hidden
 from studies.hidden.play_grid import make_grid
 from studies.testbed.command import parse_options
-from teleop.runtime.parallel import count_processors, parallel_map
+from teleop.runtime.parallel import count_processors, map_in_parallel
 
 RATES = (50.0, 100.0, 500.0, 1000.0)
 NOISES = (0.0, 1e-7, 5e-7, 1e-6, 5e-6)  # [m]
@@ -87,7 +87,7 @@ def main():
     )
     varied = itertools.product(args.makers, args.seeds, args.rates, args.noise, BENCHES)
     results = []
-    for result in parallel_map(judge, list(itertools.starmap(Case, varied)), args.jobs):
+    for result in map_in_parallel(judge, list(itertools.starmap(Case, varied)), args.jobs):
         results.append(result)
         inside = "in" if result.inside else "NOT in"
         print(

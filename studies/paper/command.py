@@ -21,7 +21,7 @@ from teleop.cli.html_page import Page
 from teleop.config.options import add_option, add_options
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder
-from teleop.runtime.parallel import count_processors, parallel_map
+from teleop.runtime.parallel import count_processors, map_in_parallel
 from teleop.runtime.process import write_summary, write_text_file
 from teleop.runtime.status_line import Progress
 
@@ -79,7 +79,7 @@ def run(sheaths: int, seed: int, jobs: int) -> tuple[Demonstration, list[Outcome
     tasks = [(specimen, seed) for specimen in (None, *random_sheaths(sheaths, seed))]
     done: list[Demonstration | Outcome] = []
     with Progress() as progress:
-        for result in parallel_map(_one, tasks, jobs):
+        for result in map_in_parallel(_one, tasks, jobs):
             done.append(result)
             progress("sheaths", len(done) / len(tasks))
     (shown,) = (one for one in done if isinstance(one, Demonstration))

@@ -130,7 +130,7 @@ def fit_method(method: str, specimen: Specimen, initialised: Initialisation) -> 
 
 def read_figure(pulled: PulledTendon) -> Figure:
     """Evaluate the first pull as in the paper's figure 6."""
-    seeking = pulled.rows(Phase.SEEK)
+    seeking = pulled.select_rows(Phase.SEEK)
     T, q = pulled.tension[seeking], pulled.travel[seeking]
     before = pulled.contact.travel - q
     free = float(np.median(T[(before > FREE[0]) & (before < FREE[1])]))
@@ -145,7 +145,7 @@ def read_figure(pulled: PulledTendon) -> Figure:
 def _ours(calibrated: CalibratedMethod | CalibrationRefused) -> FittedMethod:
     if isinstance(calibrated, CalibrationRefused):
         raise calibrated
-    prepared = online.prepare(calibrated.tendon.model())
+    prepared = online.prepare(calibrated.tendon.build_model())
 
     def estimate(record: BenchRun) -> Estimates:
         found = online.run(prepared, record.time, record.tension, record.travel)

@@ -325,7 +325,7 @@ def demonstrate(seed: int) -> Demonstration:
         method: methods.fit_method(method, SPECIMEN, initialised).estimate(record)
         for method in METHODS
     }
-    distributions = release(SPECIMEN.sheath, calibrated.tendon.model().sheath, LEVELS)
+    distributions = release(SPECIMEN.sheath, calibrated.tendon.build_model().sheath, LEVELS)
     return Demonstration(session, initialised, calibrated, judge(session), estimates, distributions)
 
 

@@ -81,7 +81,7 @@ def model(
     sections = tendon.sheath.sections
     K = tendon.sheath.friction * sum(section.length / section.radius for section in sections)
     length = sum(section.length for section in sections)
-    step = tendon.encoder.resolution(tendon.motor.pulley_radius)
+    step = tendon.encoder.compute_resolution(tendon.motor.pulley_radius)
     return online.TendonModel(
         Sheath.uniform(K * K_error, length, tendon.sheath.axial_stiffness * EA_error),
         tension_noise=math.hypot(tendon.load_cell.noise, tendon.load_cell.resolution / 12**0.5),

@@ -21,7 +21,7 @@ from studies.transparency.study import COUPLINGS, Case, Study, Task
 from teleop.config.options import add_option
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder
-from teleop.runtime.parallel import count_processors, parallel_map
+from teleop.runtime.parallel import count_processors, map_in_parallel
 from teleop.runtime.process import write_summary, write_text_file
 from teleop.runtime.status_line import Progress
 
@@ -113,7 +113,7 @@ def run(study_config: Study, workers: int) -> list[Case]:
     tasks, progress = study.tasks(study_config), Progress()
     done: dict[Task, Any] = {}
     try:
-        results = parallel_map(partial(study.measure, study_config), tasks, workers)
+        results = map_in_parallel(partial(study.measure, study_config), tasks, workers)
         for task in tasks:
             progress(f"{task.kind}, {task.coupling}", len(done) / len(tasks))
             done[task] = next(results)

@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Show the file; returns the exit code."""
     mapping = load_mapping(args)
-    columns = parse_column_options([*mapping.options(), *args.column])
+    columns = parse_column_options([*mapping.format_options(), *args.column])
     options: dict[str, Any] = {"zero_errors": TENSIONS, "diagnosed": True, "mapping": mapping}
     try:
         options["units"] = columns.units
@@ -79,7 +79,7 @@ def main(args: argparse.Namespace) -> int:
         print(Table(("column", "unit", "range", "missing"), tuple(rows)).to_markdown())
         raise
     runs = [run[0] for run in read]
-    table, reading = runs[0], Reading.of(runs[0])
+    table, reading = runs[0], Reading.from_table(runs[0])
     summary = reading.to_json() | {"further": list(table.extra)}
     summary["doubts"] = list(find_channel_faults(table, table.units))
     summary["runs"] = [
@@ -106,7 +106,7 @@ def main(args: argparse.Namespace) -> int:
 def format_summary(table: MeasuredTable, summary: dict[str, Any]) -> str:
     """Return the summary as text, with a plot of each channel."""
     si = {k: "s" if k == "time" else table.units.get_unit(k) for k in table.sources}
-    channels = Reading.of(table).channels
+    channels = Reading.from_table(table).channels
     rows = [
         (name, source.column, source.unit or "?", unit, *_describe_values(values))
         for (name, (source, values)), unit in zip(channels.items(), si.values(), strict=True)
@@ -163,7 +163,7 @@ def format_mapping(table: MeasuredTable, mapping: TableMapping) -> str:
     import yaml
 
     columns = {}
-    for name, (source, _) in Reading.of(table).channels.items():
+    for name, (source, _) in Reading.from_table(table).channels.items():
         by_rate = name == "time" and mapping.rate_hz is not None
         scale, unit = split_scale("" if by_rate else source.unit)
         columns[name] = MappedColumn(column=source.column, unit=unit, scale=scale)
@@ -185,7 +185,7 @@ def draw(table: MeasuredTable, path: Path) -> None:
 
     from estimator.drawing import use_style
 
-    channels = {k: v for k, (_, v) in Reading.of(table).channels.items() if k != "time"}
+    channels = {k: v for k, (_, v) in Reading.from_table(table).channels.items() if k != "time"}
     with use_style():
         figure = Figure(figsize=(8.0, 1.0 + 1.6 * len(channels)), layout="constrained")
         panels = figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]

@@ -119,7 +119,7 @@ def main(args: argparse.Namespace) -> int:
     k = select_tendon(args.tendon, joints, len(tendons))
     mapping = load_mapping(args)
     joint = select_joint(args, k, joints)
-    words = [*mapping.options(), *args.column]
+    words = [*mapping.format_options(), *args.column]
     if len(joint) > 1 and words:
         raise UsageError(
             f"--adapt: --column {words[0]} names the column of one tendon; the two of a pair need "
@@ -134,7 +134,7 @@ def main(args: argparse.Namespace) -> int:
     )
     table = tables[joint.index(k)]
     summary: dict[str, Any] = {"data": table.name, "samples": len(table.time)}
-    summary["read_as"] = Reading.of(table).to_json()
+    summary["read_as"] = Reading.from_table(table).to_json()
     if args.tendon is not None or len(tendons) > 1:
         summary["tendon"] = format_tendon_name(k, joints)
     if args.fit:
@@ -161,7 +161,7 @@ def main(args: argparse.Namespace) -> int:
             ]
         tendon = chosen[joint.index(k)]
     clean = remove_spikes(table)
-    estimates = Estimator(tendon.model()).run(clean)
+    estimates = Estimator(tendon.build_model()).run(clean)
     summary["model"] = as_tree(tendon)
     if args.adapt:
         fixed = compare_with_bench(estimates, clean, tendon)
@@ -198,7 +198,7 @@ def adapt(
     tendons: Sequence[TendonConfig], tables: Sequence[MeasuredTable], joint: tuple[int, ...], k: int
 ) -> tuple[online.Estimates, dict[str, Any]]:
     """Return the estimates of tendon `k` of a joint with adaptation, and what became of K."""
-    models, tensions, travels, loops = [tendon.model() for tendon in tendons], [], [], []
+    models, tensions, travels, loops = [tendon.build_model() for tendon in tendons], [], [], []
     for number, table in zip(joint, tables, strict=True):
         clean = remove_spikes(table)
         if clean.proximal_displacement is None:
@@ -290,7 +290,7 @@ def has_contradictory_travel(
     """Return whether the estimate without travel would be far better."""
     if error is None or table.proximal_displacement is None:
         return False
-    by_tension = Estimator(tendon.model()).run(table._replace(proximal_displacement=None))
+    by_tension = Estimator(tendon.build_model()).run(table._replace(proximal_displacement=None))
     without = compare_with_bench(by_tension, table, tendon)
     return (
         without is not None
@@ -312,7 +312,7 @@ def list_warnings(clean: Samples, tendon: TendonConfig, summary: dict[str, Any])
         out += [f"data and model contradict: {text}; {remedy}"] if text else []
     if clean.proximal_displacement is not None and clean.distal_displacement is not None:
         stretch = clean.proximal_displacement - clean.distal_displacement
-        by_tension = Estimator(tendon.model()).run(clean._replace(proximal_displacement=None))
+        by_tension = Estimator(tendon.build_model()).run(clean._replace(proximal_displacement=None))
         out += [text] if (text := find_stretch_slip(stretch, by_tension.elongation)) else []
     return out
 
@@ -414,7 +414,7 @@ def compare_with_bench(
     """Return the error against the measured distal tension, None without one."""
     if table.distal_tension is None:
         return None
-    score = Score([tendon.model()])
+    score = Score([tendon.build_model()])
     score.add_columns(estimates.distal_tension, estimates.low, estimates.high, table.distal_tension)
     return score.summarise()
 
@@ -456,7 +456,7 @@ def save(path: Path, fit: SheathFit, tendon: TendonConfig, table: MeasuredTable,
         tendons=(tendon,),
         rig=rig,
         method=f"{fit.method}; 95 % intervals: {ends}",
-        source=f"{table.path.name}: {format_reading(Reading.of(table).to_json())}",
+        source=f"{table.path.name}: {format_reading(Reading.from_table(table).to_json())}",
         accepted=fit.accept,
         remark=fit.reason,
     )

@@ -91,7 +91,7 @@ class PairConfig:
         """
         for file_bend in self.bends:
             if file_bend.file == path.name:
-                return self._checked(path, file_bend.bend)
+                return self._check_file(path, file_bend.bend)
         prefix, suffix = self.bend.split(BEND)
         lead = re.escape(prefix) + r"(-?\d+(?:\.\d+)?)" if prefix else _NUMBER
         match = re.search(lead + re.escape(suffix), path.name)
@@ -102,9 +102,9 @@ class PairConfig:
                 f"{path}: the name does not tell the sheath's bend as {self.bend!r} would; rename "
                 "the file, or give pattern or list in --columns FILE (bend, bends)"
             )
-        return self._checked(path, float(match[1]))
+        return self._check_file(path, float(match[1]))
 
-    def _checked(self, path: Path, bend: float) -> float:
+    def _check_file(self, path: Path, bend: float) -> float:
         if not 0.0 <= bend < math.inf:
             raise UsageError(
                 f"{path}: a bend of {bend:g}, must not be negative; if that is a dash, put it into "
@@ -305,7 +305,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Study the pair and report; returns the exit code."""
     config, mapping = load(args.columns, PairConfig, None), load_mapping(args)
-    if mapping.options():
+    if mapping.format_options():
         raise UsageError(f"{args.mapping}: columns: those of a pair are named in --columns FILE")
     (records, read), (further, validated) = (
         tuple(zip(*read_records(paths, config, mapping), strict=True)) or ((), ())

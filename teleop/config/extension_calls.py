@@ -65,14 +65,16 @@ class CheckedExtension:
         self.calls.add(elapsed_ns)
         if elapsed_ns > LATE_NS:
             took = f"took {elapsed_ns / 1e6:.0f} ms, must take below 1 ms, {LATE_NS / 1e6:g} ms at"
-            raise self.fault(name, f"{took} most: let a thread compute, and return its newest")
+            raise self.build_fault(
+                name, f"{took} most: let a thread compute, and return its newest"
+            )
         return returned
 
-    def fields(self, name: str, returned: Any, kind: type[Any]) -> tuple[Any, ...]:
+    def check_tuple(self, name: str, returned: Any, kind: type[Any]) -> tuple[Any, ...]:
         """Return the fields of what a method returned, if it is a tuple of `kind`."""
         if not isinstance(returned, kind):
             what = type(returned).__name__
-            raise self.fault(name, f"returned {what}, must be {kind.__name__}")
+            raise self.build_fault(name, f"returned {what}, must be {kind.__name__}")
         return tuple(returned)
 
     def check(
@@ -80,22 +82,24 @@ class CheckedExtension:
     ) -> Array:
         """Return an array that a method returned, if it is `count` numbers of at most `limit`."""
         if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu":
-            raise self.fault(
+            raise self.build_fault(
                 name, f"{what} is a {type(values).__name__}, must be an array [{unit}]"
             )
         if values.shape != (count,):
-            raise self.fault(name, f"{what} has shape {values.shape}, must be ({count},) [{unit}]")
+            raise self.build_fault(
+                name, f"{what} has shape {values.shape}, must be ({count},) [{unit}]"
+            )
         # a copy, as the extension may change its own; plain, with what a mask hides; and floats, as
         # the smallest integer has no absolute value
         numbers = np.array(values, np.float64)
         peak = float(np.abs(numbers).max())
         if not math.isfinite(peak):
-            raise self.fault(name, f"{what} is {numbers.tolist()}, not finite")
+            raise self.build_fault(name, f"{what} is {numbers.tolist()}, not finite")
         if peak > limit:
-            raise self.fault(name, f"{what} is {peak:g} {unit}, at most {limit:g} {unit}")
+            raise self.build_fault(name, f"{what} is {peak:g} {unit}, at most {limit:g} {unit}")
         return numbers
 
-    def fault(self, name: str, text: str) -> ExtensionFault:
+    def build_fault(self, name: str, text: str) -> ExtensionFault:
         """Return the fault of a method."""
         return ExtensionFault(f"{self._owner}.{name}: {text}; {self._remedy}")
 

@@ -127,11 +127,11 @@ class ConfigDocument:
         """What the file and the overrides state, as nested mappings, unchecked; `UsageError`."""
         tree = strict_yaml.parse_mapping(self.text, str(self.path))
         for override in self.recorded:
-            tree = apply_override(tree, override, self.error)
+            tree = apply_override(tree, override, self.build_error)
         if self.path is not None and self.path.suffix == RECORDING_SUFFIX:
             tree = {key: value for key, value in tree.items() if key not in _RUN_SPECIFIC_KEYS}
         for override in self.overrides:
-            tree = apply_override(tree, override, self.error)
+            tree = apply_override(tree, override, self.build_error)
         return tree
 
     def load(self, cls: type[T], section: str | None = None) -> T:
@@ -146,8 +146,8 @@ class ConfigDocument:
             if key not in known:
                 kind = next((text for name, text in _OTHER_FILES.items() if name in self.tree), "")
                 if kind and known is SESSION_KEYS:
-                    raise self.error((key,), f"is no key of a session: this is {kind}")
-                raise self.error((key,), f"unknown key{_format_suggestion(key, known)}")
+                    raise self.build_error((key,), f"is no key of a session: this is {kind}")
+                raise self.build_error((key,), f"unknown key{_format_suggestion(key, known)}")
         if section is not None:
             return cast(
                 T, _Builder(self).build_dataclass(cls, self.tree.get(section), (section,), None)
@@ -160,12 +160,12 @@ class ConfigDocument:
         try:
             path = Path(text).expanduser()
         except RuntimeError as error:
-            raise self.error(keys, f"{_format_value(text)}: no such home folder") from error
+            raise self.build_error(keys, f"{_format_value(text)}: no such home folder") from error
         if self.path is None or find_override(self.overrides, keys) is not None:
             return path
         return self.path.parent / path
 
-    def error(self, keys: tuple[str, ...], what: str) -> UsageError:
+    def build_error(self, keys: tuple[str, ...], what: str) -> UsageError:
         """Return the error to raise about the value at `keys`."""
         override = find_override(self.overrides, keys) if keys else None
         if override is not None:
@@ -190,7 +190,7 @@ def _extract_files(files: Mapping[str, bytes]) -> list[Override]:
     for number, (key, data) in enumerate(files.items()):
         path = Path(_extracted[-1].name) / f"{number}.urdf"
         path.write_bytes(data)
-        overrides.append(Override.of(key, str(path)))
+        overrides.append(Override.from_value(key, str(path)))
     return overrides
 
 
@@ -220,14 +220,14 @@ class _Builder:
         """Build `cls` from a mapping; missing keys come from `base` or from the defaults."""
         data = {} if data is None else data  # an empty section
         if not isinstance(data, dict):
-            raise self.source.error(
+            raise self.source.build_error(
                 keys, f"{_format_value(data)} is not a mapping (key: value lines)"
             )
         hints = get_type_hints(cls)
         fields = {f.name: f for f in dataclasses.fields(cls) if f.init}
         for key in data:
             if key not in fields:
-                raise self.source.error(
+                raise self.source.build_error(
                     (*keys, str(key)), f"unknown key{_format_suggestion(key, fields)}"
                 )
         values = {}
@@ -239,7 +239,7 @@ class _Builder:
                     hints[name], data[name], (*keys, name), preset, allow
                 )
             elif preset is _MISSING:
-                raise self.source.error(
+                raise self.source.build_error(
                     (*keys, name), f"is missing; it is {_describe_annotation(hints[name])}"
                 )
             else:
@@ -261,14 +261,14 @@ class _Builder:
             return error
         found = _FIELD_ERROR_PATTERN.match(" ".join(str(error).split()))
         if found is None or found["field"] not in fields:
-            return self.source.error(keys, " ".join(str(error).split()))
+            return self.source.build_error(keys, " ".join(str(error).split()))
         inner = re.findall(r"\w+", found["rest"])
         value, what = values[found["field"]], found["what"]
         for name in inner:
             value = value[int(name)] if isinstance(value, tuple) else getattr(value, name, None)
         plain = isinstance(value, int | float | str | Path) and str(value) not in what
         shown = f"{_format_value(value)}: " if plain else ""
-        return self.source.error((*keys, found["field"], *inner), shown + what)
+        return self.source.build_error((*keys, found["field"], *inner), shown + what)
 
     def build_value(
         self, hint: Any, data: Any, keys: tuple[str, ...], preset: Any, infinite: bool = False
@@ -302,7 +302,7 @@ class _Builder:
     def _build_type_error(
         self, hint: Any, data: Any, keys: tuple[str, ...], more: str = ""
     ) -> UsageError:
-        return self.source.error(
+        return self.source.build_error(
             keys, f"{_format_value(data)} is not {_describe_annotation(hint)}{more}"
         )
 
@@ -316,7 +316,7 @@ class _Builder:
         except OverflowError:
             number = math.inf
         if math.isnan(number) or (math.isinf(number) and not infinite):
-            raise self.source.error(keys, f"{_format_value(data)} is not a finite number")
+            raise self.source.build_error(keys, f"{_format_value(data)} is not a finite number")
         return number
 
     def _build_tuple(
@@ -336,13 +336,13 @@ class _Builder:
                 raise self._build_type_error(hint, data, keys, item)
             if not all(LIST_INDEX.fullmatch(str(k)) and int(k) < len(bases) for k in changed):
                 count = f"the list has {len(bases)} items, counted from 0"
-                raise self.source.error((*keys, str(next(iter(changed)))), count)
+                raise self.source.build_error((*keys, str(next(iter(changed)))), count)
             data = [changed.get(str(i), base) for i, base in enumerate(bases)]
         if not isinstance(data, list):
             raise self._build_type_error(hint, data, keys)
         many = len(args) == 2 and args[1] is Ellipsis
         if not many and len(data) != len(args):
-            raise self.source.error(keys, f"has {len(data)} items, {len(args)} are needed")
+            raise self.source.build_error(keys, f"has {len(data)} items, {len(args)} are needed")
         built = []
         for i, item in enumerate(data):
             if bases and item is bases[i]:
@@ -402,12 +402,12 @@ class _Builder:
             try:
                 return resolve_class(tag, others[0])
             except ExtensionError as error:
-                raise self.source.error((*keys, "type"), str(error)) from error
+                raise self.source.build_error((*keys, "type"), str(error)) from error
         if not isinstance(tag, str) or tag not in by_tag:
             problem = "is missing" if tag is None else f"{_format_value(tag)} is unknown"
             suggestion = _format_suggestion(tag, by_tag)
             guide = _GUIDES.get(others[0].GROUP if others else keys[-1], "")
-            raise self.source.error((*keys, "type"), f"{problem}{suggestion}{guide}")
+            raise self.source.build_error((*keys, "type"), f"{problem}{suggestion}{guide}")
         return cast(type[Any], by_tag[tag])
 
 

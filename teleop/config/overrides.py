@@ -25,7 +25,7 @@ class Override:
     value: Any
 
     @classmethod
-    def of(cls, key: str, value: Any) -> "Override":
+    def from_value(cls, key: str, value: Any) -> "Override":
         """Return the override of a dotted key by a value of plain data."""
         return cls(f"{key}={json.dumps(value)}", tuple(key.split(".")), value)
 

@@ -91,7 +91,7 @@ class Columns:
     distal_displacement: str | None = "distal_displacement_m"  # [m] positive towards the housing
 
     @classmethod
-    def of_tendon(cls, number: int, units: Units = LINEAR) -> Self:
+    def from_tendon(cls, number: int, units: Units = LINEAR) -> Self:
         """Return the standard names of tendon 1, 2, ... in a file that holds several."""
         names = {c: format_standard_name(units, c, number) for c in STANDARD_NAMES[units]}
         return cls(**names)
@@ -105,7 +105,7 @@ class Columns:
         }
         return replace(self, **changed)
 
-    def names(self) -> dict[str, str]:
+    def list_names(self) -> dict[str, str]:
         """Return field -> column name, of the columns wanted."""
         return {f.name: name for f in fields(self) if (name := getattr(self, f.name)) is not None}
 

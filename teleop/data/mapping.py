@@ -73,7 +73,7 @@ class TableMapping:
         if self.separator not in ("", ",", ";", "|", " ", "\t", "\\t"):
             raise ValueError("separator: must be one of , ; | space \\t")
 
-    def options(self) -> tuple[str, ...]:
+    def format_options(self) -> tuple[str, ...]:
         """Return the columns as values of `--column`."""
         given = ((f.name, getattr(self.columns, f.name)) for f in fields(self.columns))
         return tuple(f"{name}={each.format_option()}" for name, each in given if each is not None)
@@ -107,12 +107,12 @@ def map_columns(tendons: Sequence[Columns], mapping: TableMapping) -> tuple[Colu
 
     Its time is that of all tendons, its other columns are those of the first one.
     """
-    named = parse_column_names(mapping.options())
-    own = {item: name for item, name in named.names().items() if not named.is_standard(item)}
+    named = parse_column_names(mapping.format_options())
+    own = {item: name for item, name in named.list_names().items() if not named.is_standard(item)}
     times = {item: name for item, name in own.items() if item == "time"}
 
     def rename(columns: Columns, names: Mapping[str, str]) -> Columns:
-        standard = [item for item in columns.names() if columns.is_standard(item)]
+        standard = [item for item in columns.list_names() if columns.is_standard(item)]
         return replace(columns, **{k: name for k, name in names.items() if k in standard})
 
     return tuple(rename(c, times if k else own) for k, c in enumerate(tendons))
@@ -152,4 +152,4 @@ def parse_column_names(words: Sequence[str], tendon: int = 0) -> Columns:
                 f"--column {word}: expected NAME=COLUMN, NAME one of {', '.join(field_names)}"
             )
         renamed[name] = column
-    return replace(Columns.of_tendon(tendon + 1), **renamed)
+    return replace(Columns.from_tendon(tendon + 1), **renamed)

@@ -25,7 +25,7 @@ class Reading:
     remarks: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, table: MeasuredTable) -> "Reading":
+    def from_table(cls, table: MeasuredTable) -> "Reading":
         """Return how a table of one tendon was read, its channels named as in its units."""
         named = {k: v.rpartition("_")[0] for k, v in STANDARD_NAMES[table.units].items()}
         channels = {

@@ -174,7 +174,7 @@ def read_table(
     doubts = batches.list_doubts()
     for line in doubts:
         print_warning(line)
-    return DataTable(path, pa.Table.from_batches(parts), batches.events(), tuple(doubts))
+    return DataTable(path, pa.Table.from_batches(parts), batches.list_events(), tuple(doubts))
 
 
 @dataclass
@@ -233,7 +233,7 @@ class RecordingBatches:
             last_s = self._to_seconds(self._latest[STATE.name])[0]
             raise UsageError(f"{self.path}: no row in this range; its last is at {last_s:.3f} s")
 
-    def events(self) -> tuple[RecordedEvent, ...]:
+    def list_events(self) -> tuple[RecordedEvent, ...]:
         """Return the events in the range, of what was read so far."""
         events = (RecordedEvent(self._to_event_time(log), *rest) for log, *rest in self._events)
         return tuple(event for event in events if self._is_in_range(event.time_s))
@@ -260,7 +260,7 @@ class RecordingBatches:
         """Return the rows of a part of the recording, None if it has no states."""
         for place, row in zip(*part.get(EVENT.name, ((), ())), strict=True):
             role, text = format_role(int(row["role"])), decode_text(tuple(row["text"].tolist()))
-            names = _name(State, row["state"]), _name(Reason, row["reason"])
+            names = _name_code(State, row["state"]), _name_code(Reason, row["reason"])
             log_ns = int(row["log_time_ns"])
             self._events.append((log_ns, role, *names, text))
             self._pending.append((int(place), log_ns, f"{role}: {text}"))
@@ -317,10 +317,10 @@ class RecordingBatches:
         builders: dict[str, Callable[[], Any]] = {
             "time_s": partial(self._to_seconds, states),
             "time_unix_ns": partial(np.array, states["stamp_ns"]),
-            "slave_state": partial(joined[STATE.name].name, "state", State),
-            "slave_reason": partial(joined[STATE.name].name, "reason", Reason),
-            "master_state": partial(command.name, "state", State),
-            "master_reason": partial(command.name, "reason", Reason),
+            "slave_state": partial(joined[STATE.name].name_values, "state", State),
+            "slave_reason": partial(joined[STATE.name].name_values, "reason", Reason),
+            "master_state": partial(command.name_values, "state", State),
+            "master_reason": partial(command.name_values, "reason", Reason),
             "event": partial(self._attach_events, places),
             "sample_age_s": lambda: states["sample_age_ns"] / 1e9,
             "command_age_s": command.compute_age,
@@ -392,7 +392,7 @@ class _Joined:
         age = (self.states["log_time_ns"] - self.rows["log_time_ns"]) / 1e9
         return np.where(self.is_missing, np.nan, age)
 
-    def name(self, name: str, kind: type[IntEnum]) -> Any:
+    def name_values(self, name: str, kind: type[IntEnum]) -> Any:
         """Return states or reasons as a dictionary array of their names; null where missing."""
         import pyarrow as pa
 
@@ -402,7 +402,7 @@ class _Joined:
         return pa.DictionaryArray.from_arrays(chosen, names)
 
 
-def _name(kind: type[IntEnum], code: Any) -> str:
+def _name_code(kind: type[IntEnum], code: Any) -> str:
     return kind(int(code)).name.lower()
 
 
@@ -410,7 +410,7 @@ def _name(kind: type[IntEnum], code: Any) -> str:
 def _list_names(kind: type[IntEnum]) -> tuple[list[str], NDArray[np.int8]]:
     """Return all names of states or reasons, and the index of the name of each code."""
     names = [member.name.lower() for member in kind]
-    indices = [names.index(_name(kind, code)) for code in range(_CODE_MAX + 1)]
+    indices = [names.index(_name_code(kind, code)) for code in range(_CODE_MAX + 1)]
     return names, np.array(indices, dtype=np.int8)
 
 

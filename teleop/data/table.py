@@ -98,7 +98,7 @@ class MeasuredTable:
         """Return all columns by standard names of tendon 1, 2, ..., then the further ones."""
         standard = {
             name: column
-            for item, name in Columns.of_tendon(number, self.units).names().items()
+            for item, name in Columns.from_tendon(number, self.units).list_names().items()
             if (column := getattr(self, item)) is not None
         }
         return standard | {k: v for k, v in self.extra.items() if k not in standard}
@@ -191,7 +191,7 @@ def read_runs(
 ) -> list[tuple[MeasuredTable, ...]]:
     """Read and check all runs of a file, or the one that the mapping says; see `read_tables`."""
     mapping = mapping or TableMapping()
-    named = [name for columns in tendons for name in columns.names().values()]
+    named = [name for columns in tendons for name in columns.list_names().values()]
     raw = read_columns(path, mapping, named)
     aliases = find_aliases(path, raw)
     clocks = ("time_s", tendons[0].time)
@@ -200,7 +200,7 @@ def read_runs(
         rows = len(next(iter(raw.columns.values())))
         raw = replace(raw, columns={"time_s": np.arange(float(rows)), **raw.columns})
     notes = [
-        {item: split_unit(name, raw.columns) for item, name in columns.names().items()}
+        {item: split_unit(name, raw.columns) for item, name in columns.list_names().items()}
         for columns in tendons
     ]
     tendons = [
@@ -210,7 +210,7 @@ def read_runs(
     if units is None:
         units = _detect_file_units(path, raw, aliases.stated, tendons, diagnosed)
     tendons = [_replace_aliases(columns.to_units(units), aliases.stated) for columns in tendons]
-    claimed = {name for columns in tendons for name in columns.names().values()}
+    claimed = {name for columns in tendons for name in columns.list_names().values()}
     is_pair = diagnosed and len(tendons) == 1 and _is_travel_pair(raw, tendons[0])
     required_items = ["time"] if is_pair else ["time", "proximal_tension"]
     tables_columns = [
@@ -272,7 +272,7 @@ def read_runs(
         for names, noted in zip(tables_columns, notes, strict=True):
             stated = {item for item, (_, unit) in noted.items() if unit}
             check_samples(path, part, names, values, zero_errors, diagnosed, units, stated, factors)
-            samples: dict[str, Any] = dict.fromkeys(Columns().names())
+            samples: dict[str, Any] = dict.fromkeys(Columns().list_names())
             samples |= {item: values[name] for item, name in names.items()}
             if "proximal_tension" not in names:
                 samples["proximal_tension"] = np.full(len(samples["time"]), np.nan)
@@ -300,7 +300,9 @@ def _match_name(raw: RawTable, name: str) -> str:
 
 def _replace_aliases(columns: Columns, aliases: Mapping[str, str]) -> Columns:
     """Return names of which standard ones are those in the file, such as `time_ms`."""
-    return replace(columns, **{k: aliases.get(name, name) for k, name in columns.names().items()})
+    return replace(
+        columns, **{k: aliases.get(name, name) for k, name in columns.list_names().items()}
+    )
 
 
 def number_samples(
@@ -353,7 +355,9 @@ def _detect_file_units(
         return LINEAR
     channel_names.check_names(path, present)
     if has_own_names:
-        channel_names.check_linear_names(path, [n for c in tendons for n in c.names().values()])
+        channel_names.check_linear_names(
+            path, [n for c in tendons for n in c.list_names().values()]
+        )
     units = (
         LINEAR
         if has_own_names
@@ -372,7 +376,7 @@ def _detect_file_units(
 
 def _is_travel_pair(raw: RawTable, columns: Columns) -> bool:
     """Return whether a file has both travels, and nothing that may be a tension."""
-    names = columns.names()
+    names = columns.list_names()
     is_tension = re.compile(_CHANNEL_WORDS["proximal_tension"], re.IGNORECASE)
     return (
         columns.is_standard("proximal_tension")
@@ -397,7 +401,7 @@ def _find_columns(
         for n in raw.columns
         if n not in claimed and channel_names.strip_tendon_number(n) not in standard
     ]
-    for item, name in columns.names().items():
+    for item, name in columns.list_names().items():
         if name in raw.columns:
             columns_found[item] = name
             continue

@@ -156,13 +156,13 @@ def _find_suffix(path: Path) -> str:
     for suffix in _READERS:
         if path.name.lower().endswith(suffix):
             return suffix
-    if _holds_text(path):
+    if _is_text_file(path):
         return ".txt"
     allowed = ", ".join(suffix for suffix in _READERS if not suffix.endswith(".gz"))
     raise UsageError(f"{path}: unknown kind of file, allowed are {allowed}, and text as .gz")
 
 
-def _holds_text(path: Path) -> bool:
+def _is_text_file(path: Path) -> bool:
     """Return whether a file of an unknown kind is text, as what test machines write."""
     if not path.is_file():
         return False

@@ -57,7 +57,7 @@ class Procedure(ABC):
         """The smallest and the largest stimulus that it may choose."""
 
     @abstractmethod
-    def next(self) -> float:
+    def choose_stimulus(self) -> float:
         """Return the stimulus of the next trial; the same until `record` is called."""
 
     @abstractmethod
@@ -95,7 +95,7 @@ class ConstantStimuli(Procedure):
         """The smallest and the largest level."""
         return float(min(self.levels)), float(max(self.levels))
 
-    def next(self) -> float:
+    def choose_stimulus(self) -> float:
         """Return the next level."""
         return self._order[self._count]
 
@@ -141,7 +141,7 @@ class Staircase(Procedure):
         """The bounds that it is given."""
         return float(self.low), float(self.high)
 
-    def next(self) -> float:
+    def choose_stimulus(self) -> float:
         """Return the stimulus where it stands."""
         return self._stimulus
 
@@ -203,7 +203,7 @@ class BayesianAdaptive(Procedure):
         """The smallest and the largest stimulus."""
         return float(min(self.stimuli)), float(max(self.stimuli))
 
-    def next(self) -> float:
+    def choose_stimulus(self) -> float:
         """Return the most informative stimulus."""
         return float(self.stimuli[self._index])
 
@@ -350,9 +350,9 @@ class TrialSequence:
         """Whether there is no further trial."""
         return self._block == len(self._order)
 
-    def next(self) -> Trial:
+    def choose_trial(self) -> Trial:
         """Return the next trial; the same until `record` is called."""
-        stimulus = None if self._procedure is None else self._procedure.next()
+        stimulus = None if self._procedure is None else self._procedure.choose_stimulus()
         condition = self._order[self._block]
         return Trial(self._number + 1, self._block + 1, condition, stimulus, self._target)
 

@@ -75,13 +75,13 @@ class PsychometricFit:
     counts: Array  # (levels,) trials
     successes: Array  # (levels,) correct answers
 
-    def probability(self, stimulus: ArrayLike) -> Array:
+    def compute_probability(self, stimulus: ArrayLike) -> Array:
         """Return the probability of a correct answer at each stimulus."""
         return compute_probability(
             stimulus, self.threshold, self.spread, self.guess_rate, self.lapse_rate, self.shape
         )
 
-    def stimulus_at(self, probability: float) -> float:
+    def find_stimulus(self, probability: float) -> float:
         """Return the stimulus with this probability of a correct answer.
 
         Raises
@@ -277,10 +277,10 @@ def draw_psychometric(
             colour = colours[number % len(colours)]
             label = labels[number] if number < len(labels) else None
             x = np.linspace(fit.levels[0], fit.levels[-1], 300)
-            axes.plot(x, fit.probability(x), color=colour, label=label)
+            axes.plot(x, fit.compute_probability(x), color=colour, label=label)
             area = 12.0 + 60.0 * fit.counts / fit.counts.max()
             axes.scatter(fit.levels, fit.successes / fit.counts, area, color=colour, alpha=0.5)
-            height = float(fit.probability(fit.threshold))
+            height = float(fit.compute_probability(fit.threshold))
             ends = np.clip((fit.low, fit.high), fit.levels[0], fit.levels[-1])
             axes.plot(ends, (height, height), color=colour, linewidth=3.0, alpha=0.6)
             axes.plot(fit.threshold, height, "|", color=colour, markersize=12.0)

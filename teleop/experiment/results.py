@@ -140,7 +140,7 @@ class TrialTable:
             A row is not the trial that the design gives; one line.
         """
         for line, row in enumerate(self.rows, 2):
-            expected = None if sequence.is_done else self._describe_trial(sequence.next())
+            expected = None if sequence.is_done else self._describe_trial(sequence.choose_trial())
             if expected is None or any(row[name] != text for name, text in expected.items()):
                 raise UsageError(
                     f"{self.path}, line {line}: is not the trial that this design gives; go on "

@@ -192,7 +192,7 @@ def run_experiment(
             say(f"{table.path}: {len(table.rows)} trials are answered")
         procedure = type(design.procedure).__name__ if design.procedure else ""
         while not sequence.is_done:
-            trial = sequence.next()
+            trial = sequence.choose_trial()
             attempts, begin_ns = _present(stage, trial, say)
             if isinstance(observer, ButtonObserver):
                 observer.session = stage.session
@@ -327,7 +327,7 @@ class _Stage(AbstractContextManager["_Stage"]):
 
     def _check_settings(self) -> None:
         """Raise `UsageError` for settings that a session cannot have, before any trial."""
-        experiment, first = self._experiment, self._experiment.design.begin(1).next()
+        experiment, first = self._experiment, self._experiment.design.begin(1).choose_trial()
         procedure = experiment.design.procedure
         key_sets = []
         for condition in experiment.design.conditions:
@@ -391,7 +391,7 @@ class _Stage(AbstractContextManager["_Stage"]):
         config = _get_impair(self.session)
         if impaired and isinstance(self.session, Session) and config is not None:
             words = [f"{k.removeprefix('impair.')}={json.dumps(v)}" for k, v in impaired.items()]
-            link = config.link(self.session.config.link)
+            link = config.build_link_config(self.session.config.link)
             send_request(link, self.session.name, config.endpoint, "\n".join(["set", *words]))
         self._applied |= changed
         self._require_engagement(self.session, _SETTLE_S)

@@ -71,7 +71,7 @@ class Proxy:
         self._look_ns = 0  # time of the next check of the banks
         self._stack = ExitStack()
         with ExitStack() as opening:
-            link = config.link(shared.link)
+            link = config.build_link_config(shared.link)
             master = BridgeEnd(link, shared.session, [config.endpoint], [], self._look_soon)
             opening.callback(master.close)
             slave = BridgeEnd(shared.link, shared.session, [], [shared.link.slave], self._look_soon)
@@ -177,7 +177,7 @@ def main(args: argparse.Namespace) -> int:
     shared, config = document.load(RunConfig), document.load(ImpairConfig, "impair")
     config.require_direct(shared.link)
     if args.action:
-        link = config.link(shared.link)
+        link = config.build_link_config(shared.link)
         answer = send_request(link, shared.session, config.endpoint, "\n".join(args.action))
         print(json.dumps(answer, indent=2))
         return 0
@@ -205,9 +205,11 @@ def main(args: argparse.Namespace) -> int:
 
 def build_overrides(args: argparse.Namespace) -> list[Override]:
     """Return the options of the command line as overrides."""
-    out = [Override.of("impair.seed", args.seed)] if args.seed is not None else []
+    out = [Override.from_value("impair.seed", args.seed)] if args.seed is not None else []
     for name in _NUMERIC_OPTIONS:
         value = getattr(args, name)
         if value is not None:
-            out += [Override.of(f"impair.{direction}.{name}", value) for direction in DIRECTIONS]
+            out += [
+                Override.from_value(f"impair.{direction}.{name}", value) for direction in DIRECTIONS
+            ]
     return out

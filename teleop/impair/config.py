@@ -71,7 +71,7 @@ class DirectionConfig:
         phase_s = time_s % self.cut_period if time_s >= 0.0 else -1.0
         return any(start <= phase_s < end for start, end in self.cuts)
 
-    def of(self, live: bool) -> "DirectionConfig":
+    def select_impairments(self, live: bool) -> "DirectionConfig":
         """Return the impairments of a live or a reliable topic."""
         if live or self.reliable == "impaired":
             return self
@@ -100,7 +100,7 @@ class ImpairConfig(RangedConfig):
         if shared.routers:
             raise UsageError("impair: works between direct neighbours only, without link.routers")
 
-    def link(self, shared: LinkConfig) -> LinkConfig:
+    def build_link_config(self, shared: LinkConfig) -> LinkConfig:
         """Return the master's link: as `shared`, but to the proxy."""
         try:
             return replace(shared, slave=self.endpoint)

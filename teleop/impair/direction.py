@@ -122,7 +122,10 @@ class Direction:
 
     def configure(self, config: DirectionConfig) -> None:
         """Use `config` from the next message on."""
-        self._configs = {True: config.of(live=True), False: config.of(live=False)}
+        self._configs = {
+            True: config.select_impairments(live=True),
+            False: config.select_impairments(live=False),
+        }
 
     def take(self, topic: Topic[Any], data: bytes) -> None:
         """Process a new message and pass it to the delay queue."""

@@ -84,7 +84,7 @@ class RepeatFilter:
         self._last[source] = (text, 1)
         return [*_format_repeats(last, count), text]
 
-    def rest(self) -> list[tuple[str, str]]:
+    def flush(self) -> list[tuple[str, str]]:
         """Return (source, line) of what is still only counted, and forget it."""
         lines = [
             (source, line)
@@ -124,7 +124,7 @@ class Console:
         """Remove the status line, and print what was only counted."""
         self.status.clear()
         with self._lock:
-            remaining = self._repeats.rest()
+            remaining = self._repeats.flush()
         for source, line in remaining:
             self._print(source, line)
 

@@ -58,8 +58,8 @@ class LaunchPlan:
         """The document of the master, which connects to the proxy if there is one."""
         if self.config.impair is None:
             return self.document
-        endpoint = self.config.impair.link(self.config.link).slave
-        return self.document.override(Override.of("link.slave", endpoint))
+        endpoint = self.config.impair.build_link_config(self.config.link).slave
+        return self.document.override(Override.from_value("link.slave", endpoint))
 
 
 def plan_session(
@@ -94,11 +94,17 @@ def build_rig_overrides(
         rig: dict[str, Any] = {"type": "replayed", "file": str(replay.absolute()), "run": run}
         rig["mapping"] = mapping and str(mapping.absolute())
         # a tip that the hand does not move would do work on it without energy in the ledger
-        out += [Override.of("slave.rig", rig), Override.of("coupling", {"type": "direct"})]
+        out += [
+            Override.from_value("slave.rig", rig),
+            Override.from_value("coupling", {"type": "direct"}),
+        ]
     if calibration:
         is_file = str(calibration) != AS_BUILT
         value = str(calibration.absolute()) if is_file else AS_BUILT
-        out += [Override.of("slave.tendons", []), Override.of("slave.calibration", value)]
+        out += [
+            Override.from_value("slave.tendons", []),
+            Override.from_value("slave.calibration", value),
+        ]
     return out
 
 

@@ -279,7 +279,7 @@ def _read_document(
         document = ConfigDocument(text=yaml.safe_dump(_drop_default_place(as_tree(config))))
     else:
         document = ConfigDocument.read(None if config is None else Path(config))
-    return document.override(*(Override.of(key, value) for key, value in overrides.items()))
+    return document.override(*(Override.from_value(key, value) for key, value in overrides.items()))
 
 
 def _drop_default_place(tree: dict[str, Any]) -> dict[str, Any]:
@@ -315,4 +315,6 @@ def load_config(
 
 def _let_program_operate(document: ConfigDocument) -> ConfigDocument:
     axes = document.load(SessionConfig).master.device.axis_count
-    return document.override(Override.of("master.device", {"type": "program", "axes": axes}))
+    return document.override(
+        Override.from_value("master.device", {"type": "program", "axes": axes})
+    )

@@ -69,7 +69,7 @@ class Challenger:
 
     def show_token(self, token: Token) -> None:
         """Show this token of ours, with its proof, in challenges from now on."""
-        self._token = token.key(self._session).encode()
+        self._token = token.to_key(self._session).encode()
 
     def ask(self, nonce: int, subject: int, keys: PairKeys, proven: Callable[[], None]) -> None:
         """Challenge the process `nonce`; `proven` is called, by Zenoh's thread, if it answers."""

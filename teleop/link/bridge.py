@@ -54,7 +54,7 @@ class BridgeEnd:
         self._remote = zenoh.Locality.REMOTE  # not from or to ourselves, to avoid loops
         self._publishers: dict[str, Any] = {
             topic.name: declare_publisher(
-                self._zenoh, self._key(topic), topic.live, patient=False, to_remote=True
+                self._zenoh, self._build_key(topic), topic.live, patient=False, to_remote=True
             )
             for topic in TOPICS
         }
@@ -93,7 +93,7 @@ class BridgeEnd:
                 lambda sample: handler(topic, _append_tags(sample)), indirect=False
             )
             self._subscribers[topic.name] = self._zenoh.declare_subscriber(
-                self._key(topic), direct, allowed_origin=self._remote
+                self._build_key(topic), direct, allowed_origin=self._remote
             )
         elif not wanted and subscriber is not None:
             self._subscribers.pop(topic.name).undeclare()
@@ -152,7 +152,7 @@ class BridgeEnd:
             _build_control_key(self._session), on_query
         )
 
-    def _key(self, topic: Topic[Any]) -> str:
+    def _build_key(self, topic: Topic[Any]) -> str:
         return f"teleop/{self._session}/{topic.name}"
 
     def _on_token(self, sample: Any) -> None:

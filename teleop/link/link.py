@@ -118,7 +118,7 @@ class Link:
 
     def publish(self, topic: Topic[M], message: M) -> int:
         """Send `message` and return its stamp [ns]; takes microseconds."""
-        publisher = self._publisher(topic)
+        publisher = self._get_publisher(topic)
         stamp = now_ns()
         publisher.sequence += 1
         data = topic.message.schema.pack(message, self.nonce, publisher.sequence, stamp)
@@ -127,7 +127,7 @@ class Link:
 
     def publish_packet(self, topic: Topic[M], packet: Packet[M]) -> int:
         """Send `packet` and return its stamp [ns]; the head is filled in."""
-        publisher = self._publishers.get(topic.name) or self._publisher(topic)
+        publisher = self._publishers.get(topic.name) or self._get_publisher(topic)
         stamp = now_ns()
         publisher.sequence += 1
         publisher.send(packet.seal(self.nonce, publisher.sequence, stamp), stamp)
@@ -139,7 +139,7 @@ class Link:
         For messages to listeners only, to save composing them. The sequence number is used up, so
         that a reconnected listener detects the gap.
         """
-        publisher = self._publisher(topic)
+        publisher = self._get_publisher(topic)
         if publisher.needed:
             return False
         publisher.sequence += 1
@@ -150,11 +150,11 @@ class Link:
 
         It is rejected unless its sender is our `nonce`. It has no tags, so that nobody acts on it.
         """
-        self._publisher(topic, patient=True).send(data, now_ns())
+        self._get_publisher(topic, patient=True).send(data, now_ns())
 
     def has_listener(self, topic: Topic[Any]) -> bool:
         """Return whether somebody subscribes to `topic`, or to copies of it; for a replay."""
-        return self._publisher(topic, patient=True).needed
+        return self._get_publisher(topic, patient=True).needed
 
     def subscribe_latest(self, topic: Topic[M], limit_ns: int = NEVER_NS) -> LatestMessage[M]:
         """Subscribe to the latest value of `topic`; call it before the loop starts.
@@ -179,7 +179,9 @@ class Link:
         )
         inbox = Inbox(INBOX_SIZE, tagged=senders is not None)
         direct = zenoh.handlers.Callback(inbox.store, indirect=False)  # no thread in between
-        self._subscribers.append(self._zenoh.declare_subscriber(self._key(topic.name), direct))
+        self._subscribers.append(
+            self._zenoh.declare_subscriber(self._build_key(topic.name), direct)
+        )
         self._latest[topic.name] = latest, inbox
         return latest
 
@@ -213,7 +215,7 @@ class Link:
         """
         listener = Listener(self._visit, self._keyring)
         for topic in topics:
-            key = self._key(topic.name)
+            key = self._build_key(topic.name)
             if topic in sampled:
                 key = build_sampled_key(key)
             store = listener.store(topic, topic in sampled)
@@ -239,7 +241,7 @@ class Link:
         if conflict is not None:
             raise PeerError(f"session {self.session!r} {conflict}")
 
-    def counts(self) -> MessageCounts:
+    def count_messages(self) -> MessageCounts:
         """Return the message counts of all latest-value topics together."""
         return sum((latest.counts for latest, _ in self._latest.values()), MessageCounts())
 
@@ -249,13 +251,13 @@ class Link:
         numbers = [0 if publisher is None else publisher.sequence for publisher in publishers]
         return (*numbers, *(0,) * (TOPIC_SLOTS - len(numbers)))
 
-    def _key(self, name: str) -> str:
+    def _build_key(self, name: str) -> str:
         return f"teleop/{self.session}/{name}"
 
     def _visit(self, topic: Topic[Any], nonce: int) -> int:
         return 0 if topic.publisher is None else self._roster.find_visit(topic.publisher, nonce)
 
-    def _publisher(self, topic: Topic[Any], patient: bool = False) -> Publisher:
+    def _get_publisher(self, topic: Topic[Any], patient: bool = False) -> Publisher:
         """Return the publisher of a topic of this role, declared at its first use."""
         publisher = self._publishers.get(topic.name)
         if publisher is None:
@@ -265,7 +267,7 @@ class Link:
                 )
             seals = TagKeys() if self._keyring is None else self._keyring.find_seal_keys(topic)
             publisher = self._publishers[topic.name] = Publisher(
-                self._zenoh, self._key(topic.name), seals,
+                self._zenoh, self._build_key(topic.name), seals,
                 live=topic.live and not patient, sampled_hz=topic.sampled_hz, patient=patient,
             )  # fmt: skip
         return publisher
@@ -274,7 +276,7 @@ class Link:
         """Declare our token."""
         if self._handshake is not None:
             self._token = self._handshake.prove(self._token)
-        return self._zenoh.liveliness().declare_token(self._token.key(self.session))
+        return self._zenoh.liveliness().declare_token(self._token.to_key(self.session))
 
     def _find_endpoints(self) -> tuple[list[str], list[str]]:
         """Return the endpoints to listen on and to connect to."""

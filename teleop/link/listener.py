@@ -89,13 +89,13 @@ class MessageQueue:
         arrivals.sort(key=attrgetter("number"))
         return arrivals, dropped
 
-    def oldest_ns(self) -> int | None:
+    def find_oldest_ns(self) -> int | None:
         """Return when the oldest waiting message was received [ns]; None if none waits."""
         with self._lock:
             heads = [queue[0].received_ns for queue in self._queues.values() if queue]
         return min(heads, default=None)
 
-    def dropped(self, topic: Topic[Any]) -> int:
+    def count_dropped(self, topic: Topic[Any]) -> int:
         """Return how many messages of `topic` were dropped."""
         return self._dropped[topic.name]
 
@@ -162,11 +162,11 @@ class Listener:
         # copied at once: a payload keeps its whole receive buffer alive
         return lambda sample: put(topic, sample.payload.to_bytes(), now_ns())
 
-    def refused(self, topic: Topic[Any]) -> int:
+    def count_refused(self, topic: Topic[Any]) -> int:
         """Return how many messages of `topic` had no right tag, or came too fast."""
         return self._refused.get(topic.name, 0)
 
-    def forged(self, topic: Topic[Any]) -> int:
+    def count_forged(self, topic: Topic[Any]) -> int:
         """Return how many of them had a wrong tag for us."""
         return self._forged.get(topic.name, 0)
 
@@ -209,21 +209,21 @@ class Listener:
                 messages.append(ReceivedMessage(topic, data, received_ns, *head))
         return messages
 
-    def oldest_ns(self) -> int | None:
+    def find_oldest_ns(self) -> int | None:
         """Return when the oldest waiting message was received [ns]; None if none waits."""
-        return self._queue.oldest_ns()
+        return self._queue.find_oldest_ns()
 
-    def counts(self, topic: Topic[Any]) -> MessageCounts:
+    def count_messages(self, topic: Topic[Any]) -> MessageCounts:
         """Return the message counts of `topic`, all senders together."""
         senders = self._senders.get(topic.name)
-        return MessageCounts() if senders is None else senders.counts()
+        return MessageCounts() if senders is None else senders.count_messages()
 
-    def dropped(self, topic: Topic[Any]) -> int:
+    def count_dropped(self, topic: Topic[Any]) -> int:
         """Return how many received messages of `topic` were dropped before they were read.
 
         Exact even without a later message: stored = drained + rejected + dropped.
         """
-        return self._queue.dropped(topic)
+        return self._queue.count_dropped(topic)
 
 
 class _SenderChecks:
@@ -255,7 +255,7 @@ class _SenderChecks:
     def admit(self, data: bytes) -> Head | None:
         """Return the head of `data` if it is accepted, else None."""
         shared = self._topic.publisher is None
-        sender = self._topic.message.schema.sender(data) if shared else 0
+        sender = self._topic.message.schema.read_sender(data) if shared else 0
         known = self._receptions.get(sender)
         reception = known or Reception(self._topic, self._find_visit)
         head = reception.admit(data, overflowed=self._sampled or sender in self._overflowed)
@@ -270,7 +270,7 @@ class _SenderChecks:
             self._forgotten += reception.counts
         return head
 
-    def counts(self) -> MessageCounts:
+    def count_messages(self) -> MessageCounts:
         """Return the counts of all checked messages."""
         return sum((r.counts for r in self._receptions.values()), self._forgotten)
 

@@ -131,7 +131,7 @@ class Roster:
             self._challenger = Challenger(zenoh_session, session, handshake.prove(shown))
             if token.role not in LISTENER_ROLES:  # which nobody challenges
                 responder = Responder(
-                    zenoh_session, session, self._nonce, self._vouches, self._show
+                    zenoh_session, session, self._nonce, self._has_master_proof, self._show
                 )
                 self._stack.callback(responder.close)
         self._arrivals = [
@@ -438,7 +438,7 @@ class Roster:
                 del self._visits[next(iter(self._visits))]
         self.replace(self.others | {token})
         if self._relay and token.role == Role.MASTER and not token.relayed:
-            key = replace(token, relayed=True).key(self._session)
+            key = replace(token, relayed=True).to_key(self._session)
             self._relayed[token] = self._liveliness.declare_token(key)
 
     def _forget(self, token: Token) -> None:
@@ -473,7 +473,7 @@ class Roster:
                 self._forget(token)
                 self._keyring.forget(token.role, token.nonce)
 
-    def _vouches(self, nonce: int) -> bool:
+    def _has_master_proof(self, nonce: int) -> bool:
         """Return whether we have proof that a master is here."""
         return any(
             t.nonce == nonce and t.role is Role.MASTER and not t.relayed for t in self.others

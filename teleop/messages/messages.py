@@ -184,13 +184,13 @@ class Schema:
             else:
                 flat.extend(value)
         body = self._struct.pack(*flat)[4:]
-        return ENCAPSULATION + CHECKSUM.pack(self.checksum(body)) + body
+        return ENCAPSULATION + CHECKSUM.pack(self.compute_checksum(body)) + body
 
-    def checksum(self, body: bytes | memoryview) -> int:
+    def compute_checksum(self, body: bytes | memoryview) -> int:
         """Return the checksum of a message of this class from what follows the checksum in it."""
         return zlib.crc32(body, self.seed)
 
-    def sender(self, data: bytes) -> int:
+    def read_sender(self, data: bytes) -> int:
         """Return the sender in `data`, unchecked; 0 if it is too short."""
         short = len(data) < len(ENCAPSULATION) + HEAD.size
         return 0 if short else int(HEAD.unpack_from(data, len(ENCAPSULATION))[2])

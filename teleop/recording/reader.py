@@ -137,7 +137,7 @@ def open_recording(path: str | Path) -> RecordingInfo:
     scan = Scan(Path(path))
     counts: dict[int, int] = {}
     first, last = 0, 0
-    for block in scan.blocks():
+    for block in scan.read_blocks():
         for channel, start, _ in block.messages:
             counts[channel] = counts.get(channel, 0) + 1
             log_time = MESSAGE_HEAD.unpack_from(block.content, start)[2]
@@ -145,7 +145,7 @@ def open_recording(path: str | Path) -> RecordingInfo:
             last = max(last, log_time)
     messages: dict[str, int] = {}
     for channel, count in counts.items():
-        topic = to_topic_name(scan.channel(channel))
+        topic = to_topic_name(scan.get_channel(channel))
         messages[topic] = messages.get(topic, 0) + count
     if scan.damage and not messages:
         raise RecordingError(f"{path}: is damaged {scan.damage}; nothing could be read")
@@ -221,7 +221,7 @@ def read_recorded_config(path: str | Path) -> RecordedConfig:
     Only the head of the recording is read. `RecordingError` if it is no recording of a session.
     """
     scan = Scan(Path(path))
-    next(scan.blocks(), None)  # all of it comes before the first messages
+    next(scan.read_blocks(), None)  # all of it comes before the first messages
     head = scan.metadata.get(SESSION_METADATA)
     if head is None:
         raise RecordingError(f"{path}: is no recording of a session, which would have its config")
@@ -268,9 +268,9 @@ def read_messages(
 ) -> Iterator[RecordedMessage]:
     """Yield the messages of a recording in the order of the file (None = of all topics)."""
     scan = Scan(Path(path))
-    for block in scan.blocks():
+    for block in scan.read_blocks():
         for channel, start, end in block.messages:
-            topic = to_topic_name(scan.channel(channel))
+            topic = to_topic_name(scan.get_channel(channel))
             if topics is None or topic in topics:
                 _, _, log_time, publish_time = MESSAGE_HEAD.unpack_from(block.content, start)
                 data = block.content[start + MESSAGE_HEAD.size : end]
@@ -365,7 +365,7 @@ def read_row_parts(
             parts[topic] = TopicRows(np.array(places, dtype=np.int64), rows)
         return parts
 
-    for block in scan.blocks():
+    for block in scan.read_blocks():
         topic_of = {n: to_topic_name(channel) for n, channel in scan.channels.items()}
         for place, (channel, start, end) in enumerate(block.messages, first):
             topic = topic_of.get(channel)

@@ -39,9 +39,9 @@ class Recorder:
     def step(self, clock: Callable[[], int]) -> int:
         """Write at most `BATCH` messages; return how many."""
         source, writer = self._source, self._writer
-        oldest_ns = source.oldest_ns()
+        oldest_ns = source.find_oldest_ns()
         messages = source.drain(BATCH)
-        writer.note_dropped({topic.name: source.dropped(topic) for topic in TOPICS})
+        writer.note_dropped({topic.name: source.count_dropped(topic) for topic in TOPICS})
         writer.write(messages, clock())
         for item in messages:
             if item.topic is REPORT:
@@ -51,7 +51,7 @@ class Recorder:
             self._moved_ns = now
         if oldest_ns is not None:  # until what was taken is written
             writer.lag_max_s = max(writer.lag_max_s, (now - oldest_ns) * 1e-9)
-        waiting_ns = source.oldest_ns()
+        waiting_ns = source.find_oldest_ns()
         self.lag_ns = 0 if waiting_ns is None else max(0, now - waiting_ns)
         return len(messages)
 
@@ -62,7 +62,7 @@ class Recorder:
         that left without a word, once nothing came for `SILENCE_NS`; of one that goes on, what came
         until `grace_ns` after `stop_ns`.
         """
-        oldest_ns = self._source.oldest_ns()
+        oldest_ns = self._source.find_oldest_ns()
         end_ns = stop_ns + grace_ns
         if oldest_ns is not None and oldest_ns <= end_ns:
             return False

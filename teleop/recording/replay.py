@@ -86,7 +86,7 @@ class SenderRewriter:
         row["sender"], row["sequence"] = self._nonces[role], sequence
         row["stamp_ns"] = head.stamp_ns + shift_ns
         checked_from = schema.dtype.fields["layout"][1]
-        row["checksum"] = schema.checksum(memoryview(content)[checked_from:])
+        row["checksum"] = schema.compute_checksum(memoryview(content)[checked_from:])
         return AddressedMessage(role, topic, bytes(content))
 
 

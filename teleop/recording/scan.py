@@ -99,7 +99,7 @@ class Scan:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # the last of each name
     attachments: dict[str, bytes] = field(default_factory=dict)
 
-    def blocks(self) -> Iterator[Block]:
+    def read_blocks(self) -> Iterator[Block]:
         """Yield the blocks in the order of the file, up to its end, truncation or damage."""
         if self.path.exists() and not self.path.is_file():
             raise RecordingError(f"{self.path}: is not a file")
@@ -123,7 +123,7 @@ class Scan:
             "be read"
         )
 
-    def channel(self, number: int) -> records.Channel:
+    def get_channel(self, number: int) -> records.Channel:
         """Return the channel of a message."""
         if number not in self.channels:
             raise RecordingError(f"{self.path}: is damaged: a message of no known channel")

@@ -154,7 +154,7 @@ class SessionClient:
             raise UsageError(f"topic {topic!r}: allowed are {', '.join(_TOPICS)}")
         dtype = _TOPICS[topic].message.schema.dtype
         end_s = time.monotonic() + (np.inf if duration is None else duration)
-        with self._listening(_TOPICS[topic]) as listener:
+        with self._listen(_TOPICS[topic]) as listener:
             while True:
                 left_s = end_s - time.monotonic()
                 time.sleep(max(0.0, min(period, left_s)))
@@ -192,7 +192,7 @@ class SessionClient:
         wanted = _parse_state(state)
         newest: dict[str, tuple[State, Reason]] = {}
         end_s = time.monotonic() + timeout
-        with self._listening(STATE, COMMAND, sampled=True) as listener:
+        with self._listen(STATE, COMMAND, sampled=True) as listener:
             while True:
                 for item in listener.drain():
                     self._heard_s = time.monotonic()
@@ -233,7 +233,7 @@ class SessionClient:
             None was pressed within `timeout`, or the session has ended.
         """
         end_s = time.monotonic() + (np.inf if timeout is None else timeout)
-        with self._listening(EVENT) as listener:
+        with self._listen(EVENT) as listener:
             while time.monotonic() < end_s:
                 for item in listener.drain():
                     button = parse_press(decode_text(Event.unpack(item.data).text))
@@ -319,7 +319,7 @@ class SessionClient:
             raise TeleopError(f"session {self.name!r}: no slave answers any more; it has ended")
 
     @contextmanager
-    def _listening(self, *topics: Topic[Any], sampled: bool = False) -> Iterator[Listener]:
+    def _listen(self, *topics: Topic[Any], sampled: bool = False) -> Iterator[Listener]:
         listener = self._open.link.listen(topics, topics if sampled else ())
         try:
             yield listener
@@ -328,7 +328,7 @@ class SessionClient:
 
     def _request_setting(self, key: str, value: str) -> str:
         self._require_running()
-        with self._listening(ANSWER) as listener:
+        with self._listen(ANSWER) as listener:
             return request_setting(self._open.link, listener, key, value)
 
     def _await_steady_stops(self) -> None:

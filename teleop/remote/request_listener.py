@@ -143,7 +143,7 @@ class RequestListener:
                 for _, call in calls_and_bodies
             )
             or any(request.is_reset and request.number == stops for request in local),
-            settings=self._next_settings(messages),
+            settings=self._queue_settings(messages),
         )
         callers = [
             f"{format_role(call.role)}: {decode_text(call.text)}"
@@ -155,13 +155,13 @@ class RequestListener:
             return requests._replace(stop=Reason.STOP_CALLED, stop_text=callers[0])
         return requests
 
-    def refused(self) -> dict[str, int]:
+    def count_refused(self) -> dict[str, int]:
         """Return by topic how many messages had no right tag, or came too fast."""
-        return {topic.name: self._listener.refused(topic) for topic in (STOP, SETTING)}
+        return {topic.name: self._listener.count_refused(topic) for topic in (STOP, SETTING)}
 
-    def forged(self) -> dict[str, int]:
+    def count_forged(self) -> dict[str, int]:
         """Return by topic how many of them had a wrong tag for us."""
-        return {topic.name: self._listener.forged(topic) for topic in (STOP, SETTING)}
+        return {topic.name: self._listener.count_forged(topic) for topic in (STOP, SETTING)}
 
     def relay(self, role: Role, side: SessionOutline, words: str) -> None:
         """Relay a stop that has just been executed to all processes.
@@ -190,7 +190,7 @@ class RequestListener:
                 lines.append(f"{other.name.lower()} {peer}")
             self._stop_socket.answer(lines)
 
-    def _next_settings(self, messages: list[ReceivedMessage]) -> tuple[SettingRequest, ...]:
+    def _queue_settings(self, messages: list[ReceivedMessage]) -> tuple[SettingRequest, ...]:
         """Queue new requests for settings; return those of this tick."""
         for item in messages:
             if item.topic is SETTING:

@@ -69,7 +69,7 @@ def is_bag(path: Path) -> bool:
     if path.is_dir():
         return (path / METADATA).is_file() or any(path.glob("*.mcap"))
     scan = Scan(path, loose=True)
-    next(scan.blocks(), None)  # our metadata come before the first messages
+    next(scan.read_blocks(), None)  # our metadata come before the first messages
     return SESSION_METADATA not in scan.metadata
 
 
@@ -82,7 +82,7 @@ def read_bag(path: Path, names: Sequence[str] = ()) -> BagTable:
     joints: dict[str, Signals] = {}
     wrenches: dict[str, Signals] = {}
     for topic, recorded in _read_topics(path).items():
-        (joints if recorded.type == JOINT_STATE else wrenches)[topic] = recorded.signals()
+        (joints if recorded.type == JOINT_STATE else wrenches)[topic] = recorded.build_signals()
     named = [topic for name in names for topic in joints if name.startswith(f"{topic}/")]
     main = named[0] if named else _find_main_topic(path, joints)
     for topic, signals in (joints | wrenches).items():
@@ -202,7 +202,7 @@ class _RecordedTopic:
             column.append(values.get(name, np.nan))
         return len(self._values) + 2
 
-    def signals(self) -> Signals:
+    def build_signals(self) -> Signals:
         """Return the signals in the order in which they were recorded."""
         log_ns, stamps_ns = (np.array(each, np.int64) for each in (self._log_ns, self._stamps_ns))
         order = np.argsort(log_ns, kind="stable")
@@ -237,9 +237,9 @@ def _read_topics(path: Path) -> dict[str, _RecordedTopic]:
     cells = 0
     for file in _list_files(path):
         scan, messages = Scan(file, loose=True), 0
-        for block in scan.blocks():
+        for block in scan.read_blocks():
             for number, start, end in block.messages:
-                channel = scan.channel(number)
+                channel = scan.get_channel(number)
                 schema = scan.schemas.get(channel.schema_id)
                 if (
                     schema is None

@@ -34,7 +34,7 @@ class CommandTopics:
             elif entry in endpoints:
                 endpoints.remove(entry)
 
-    def refused(self) -> str:
+    def describe_refused(self) -> str:
         """Return which commands nobody takes, and the remedy; empty if there are none."""
         with self._lock:
             subscribed = {topic for topic, _ in self._there[EndpointKind.SUBSCRIBER]}

@@ -92,7 +92,7 @@ class OutputTopic:
     convert: Callable[[Any, NamingContext], Iterator[Sample]] | None = None
     is_of_arms: bool = False  # only where there are arms with kinematics
 
-    def topic(self, prefix: str) -> str:
+    def build_topic_name(self, prefix: str) -> str:
         """Return the full name of the topic."""
         return build_topic_name(self.name, prefix)
 
@@ -155,10 +155,10 @@ def _build_tip_poses(
     for number, arm in enumerate(naming.arms, 1):
         pose = arm.build_tip_pose(message.position, message.stamp_ns, naming.prefix)
         if pose is not None:
-            yield Sample(_name_of_arm(number, name), pose)
+            yield Sample(_build_arm_name(number, name), pose)
 
 
-def _name_of_arm(number: int, name: str) -> str:
+def _build_arm_name(number: int, name: str) -> str:
     return f"slave/{name}" if number == 1 else f"slave/arm_{number}/{name}"
 
 
@@ -199,7 +199,7 @@ def to_slave_force(state: SlaveState, naming: NamingContext) -> Iterator[Sample]
         moved |= {*arm.space.joints[: arm.space.coordinates]}
         wrench = arm.build_tip_force(state, naming.prefix)
         if wrench is not None:
-            yield Sample(_name_of_arm(number, "measured_cf"), wrench)
+            yield Sample(_build_arm_name(number, "measured_cf"), wrench)
     for k in range(_count_joints(state)):
         if k in moved:
             continue

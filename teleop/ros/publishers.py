@@ -93,7 +93,7 @@ class Publishers:
         for source in self._sources:
             latest = self._link.take_latest(source)
             if source is STATE and latest.is_there:
-                self._know_joints(latest.packet.record)
+                self._update_joints(latest.packet.record)
             if latest.new:
                 self._publish(self._live.get(source, ()), latest)
                 if source is STATE and _FRAMES.name in self._topics:
@@ -116,7 +116,7 @@ class Publishers:
             )
             self._put(_DIAGNOSTICS.name, _DIAGNOSTICS, status)
 
-    def _know_joints(self, state: SlaveState) -> None:
+    def _update_joints(self, state: SlaveState) -> None:
         joints = min(int(state.joints), MAX_JOINTS)
         if joints != self._naming.joints:
             self._naming = replace(self._naming, joints=joints)
@@ -157,7 +157,7 @@ class Publishers:
                     self._events[Role(event.role)] = event
 
     def _refuse(self) -> None:
-        refused = self._commands.refused()
+        refused = self._commands.describe_refused()
         if refused and refused != self._refused:
             self._say(refused)
         self._refused = refused

@@ -28,7 +28,9 @@ def count_processors() -> int:
     return cores
 
 
-def parallel_map(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int) -> Iterator[Done]:
+def map_in_parallel(
+    work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int
+) -> Iterator[Done]:
     """Yield `work(task)` for each task in order, with `jobs` processes."""
     if jobs == 1:
         yield from map(work, tasks)

@@ -133,7 +133,7 @@ class StopCondition:
         return to_exit_code(self.reason)
 
     @contextmanager
-    def interrupting(self) -> Iterator[None]:
+    def allow_interrupt(self) -> Iterator[None]:
         """Let a signal raise `KeyboardInterrupt`, where nobody asks for long."""
         install_termination_handler(interrupt_handler)
         try:

@@ -152,7 +152,7 @@ def _encode_proof(raw: bytes) -> str:
 
 def _build_signed_data(token: Token, session: str, shown: bytes) -> bytes:
     """Return what the signature covers; `shown` is the X25519 key and the certificate."""
-    unsigned = replace(token, relayed=False, proof="").key(session)
+    unsigned = replace(token, relayed=False, proof="").to_key(session)
     return b"teleop hello 1\0" + unsigned.encode() + b"\0" + shown
 
 

@@ -123,7 +123,7 @@ class Keyring:
 
     def verify(self, topic: Topic[Any], data: bytes, tags: bytes) -> "TagVerdict":
         """Return whether `data` is of a known sender, to us, and unchanged."""
-        base = self._senders[topic.name].get(topic.message.schema.sender(data))
+        base = self._senders[topic.name].get(topic.message.schema.read_sender(data))
         if base is None:
             return TagVerdict.UNKNOWN
         mac = base.copy()

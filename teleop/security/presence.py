@@ -72,7 +72,7 @@ class Token:
         """The certificate in the proof, not read."""
         return self.proof[_CERTIFICATE_OFFSET:]
 
-    def key(self, session: str) -> str:
+    def to_key(self, session: str) -> str:
         """Return the key of this token."""
         stage = self.stage.name.lower()
         proof = f"/{self.proof}" if self.proof else ""
@@ -107,7 +107,7 @@ class Token:
             )
         except (ValueError, KeyError):
             return None
-        return token if token.key(head.removeprefix("teleop/")) == key else None
+        return token if token.to_key(head.removeprefix("teleop/")) == key else None
 
 
 def list_groups(role: Role) -> list[str]:

@@ -86,7 +86,7 @@ def read_config(args: argparse.Namespace, join: bool = True) -> ConfigDocument:
         running = _find_running_overrides(args, document)
         document = replace(document, overrides=(*running, *document.overrides))
     if getattr(args, "session", None):
-        document = document.override(Override.of("session", args.session))
+        document = document.override(Override.from_value("session", args.session))
     return document
 
 
@@ -98,7 +98,7 @@ def _find_running_overrides(
     name = args.session or (stated if isinstance(stated, str) else "")
     entry = running_sessions.find_session(name, args.config)
     if entry is not None:
-        return tuple(Override.of(key, value) for key, value in entry.place.items())
+        return tuple(Override.from_value(key, value) for key, value in entry.place.items())
     if args.session and args.config is None:
         entries = running_sessions.list_sessions()
         names = running_sessions.format_session_names(entries) or "none"

@@ -117,18 +117,18 @@ class LoopProcess(ABC):
             )
             self._link.publish(ANSWER, answer)
 
-    def summary(self) -> LoopSummary:
+    def summarise(self) -> LoopSummary:
         """Return the figures of the run."""
         verdicts = {str(self.verdict(bits).name): n for bits, n in self._verdicts.items()}
-        counts = self._link.counts()
+        counts = self._link.count_messages()
         link = self._health.build_summary(counts)
         return self._meter.build_summary(self._outline(), counts, verdicts, link)
 
     def publish_end(self) -> None:
         """Publish the last report, from which a recorder sees whether it has everything."""
-        self._publish_report(self._link.counts(), ended=True)
+        self._publish_report(self._link.count_messages(), ended=True)
 
-    def _end(self, error: TeleopError) -> None:
+    def _end_session(self, error: TeleopError) -> None:
         """End the session; the first error is kept."""
         self.error = self.error or error
         self.ended = str(self.error)
@@ -189,7 +189,7 @@ class LoopProcess(ABC):
         try:
             self._link.check_peers()
         except PeerError as error:
-            self._end(error)
+            self._end_session(error)
         yield
         for text in filter(None, self._take_warnings()):
             publish_event(self._link, self.role, self._outline(), f"WARNING: {text}")
@@ -206,8 +206,8 @@ class LoopProcess(ABC):
     def _publish_refusals(self, counts: MessageCounts) -> None:
         """Publish what was refused since the last time."""
         peers = "messages of the peer"
-        forged = self._requests.forged() | {peers: counts.forged}
-        refused = self._requests.refused() | {peers: counts.forged + counts.unknown}
+        forged = self._requests.count_forged() | {peers: counts.forged}
+        refused = self._requests.count_refused() | {peers: counts.forged + counts.unknown}
         for name, count in refused.items():
             forged_count = forged[name] - self._forged.get(name, 0)
             new = count - self._refused.get(name, 0)
@@ -278,7 +278,7 @@ def run_session(
             publish_event(link, role, SessionOutline(), warning)
         enter_loop(granted, shared.realtime)
         run(process, clock, stop.request)
-        summary = process.summary()
+        summary = process.summarise()
     return process, replace(summary, stopped=stop.reason, realtime=tuple(granted))
 
 

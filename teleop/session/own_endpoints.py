@@ -29,7 +29,7 @@ def choose_place(document: ConfigDocument, name: str | None) -> ConfigDocument:
     Raises `PeerError` if a session of this user has the name already.
     """
     if name:
-        document = document.override(Override.of("session", name))
+        document = document.override(Override.from_value("session", name))
     if has_stated_endpoints(document):
         return document
     chosen, stated = {}, document.tree
@@ -43,7 +43,7 @@ def choose_place(document: ConfigDocument, name: str | None) -> ConfigDocument:
         keys.append("impair.endpoint")
     ports = find_free_ports(len(keys))
     chosen |= {key: f"{LOOPBACK}:{port}" for key, port in zip(keys, ports, strict=True)}
-    return document.override(*(Override.of(key, value) for key, value in chosen.items()))
+    return document.override(*(Override.from_value(key, value) for key, value in chosen.items()))
 
 
 def build_entry(

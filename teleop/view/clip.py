@@ -184,7 +184,7 @@ class _Collector(BatchDisplay):
         """Return whether the last block was all after the end, and the sheaths are known."""
         return self._oldest_ns >= self._end_ns and bool(self._sheaths.joints)
 
-    def rows(self) -> dict[AnyTopic, Rows]:
+    def sort_rows(self) -> dict[AnyTopic, Rows]:
         """Return what was kept, by stamp."""
         kept = {topic: np.concatenate(parts) for topic, parts in self._parts.items() if parts}
         return {t: rows[np.argsort(rows["stamp_ns"], kind="stable")] for t, rows in kept.items()}
@@ -211,7 +211,7 @@ def _read_data(
         progress("reading the recording", min(1.0, (kept.newest_ns - info.first_ns) / length_ns))
 
     show_recording(str(info.path), kept, kept.is_complete, BLOCK_S, show_progress)
-    data = ClipData(config, sheaths, kept.rows(), info.first_ns)
+    data = ClipData(config, sheaths, kept.sort_rows(), info.first_ns)
     if not sheaths.joints or STATE not in data.rows or not len(data.rows[STATE]):
         raise UsageError(f"{info.path}: has no sheaths or states to draw between these moments")
     if joint - 1 not in sheaths.joints:

@@ -77,7 +77,7 @@ class ClipFigure:
             "presentation": self._arrange_presentation,
             "surgeon": self._arrange_surgeon,
         }[layout]
-        with mpl.rc_context(self._style()):
+        with mpl.rc_context(self._build_style()):
             width = _HEIGHT * size[0] / size[1]
             self.figure = Figure((width, _HEIGHT), dpi=size[1] / _HEIGHT)
             self._canvas = Canvas(self.figure, data, self._theme)
@@ -95,7 +95,7 @@ class ClipFigure:
             (artist.axes or self.figure).draw_artist(artist)
         return np.asarray(self._agg.buffer_rgba())[..., :3].copy()
 
-    def _style(self) -> dict[Any, Any]:
+    def _build_style(self) -> dict[Any, Any]:
         theme = self._theme
         ink = dict.fromkeys(
             ("text.color", "axes.labelcolor", "xtick.color", "ytick.color", "axes.edgecolor"),
@@ -214,7 +214,7 @@ class ClipFigure:
                 axes.add_line(mark)
                 self._canvas.add(mark)
             true.set_clip_on(False)
-            name = f" {data.sheaths.name(tendon)}" if len(self._tendons) > 1 else ""
+            name = f" {data.sheaths.name_tendon(tendon)}" if len(self._tendons) > 1 else ""
             handles.append((sliding, f"estimated{name}"))
             if tendon == self._tendons[-1]:
                 handles += [(band, "interval"), (front, "X'"), (true, "true")]
@@ -265,7 +265,7 @@ class ClipFigure:
         curves = [(curve, t) for t in self._tendons for curve in find_curves(TENDONS, names)]
         title = "Tension [N]"
         if len(self._tendons) > 1:
-            first, second, *_ = map(self._data.sheaths.name, self._tendons)
+            first, second, *_ = map(self._data.sheaths.name_tendon, self._tendons)
             title += f"  {first}, dashed: {second}"
         self._draw_curves(axes, title, [(TENDONS, *each) for each in curves])
 

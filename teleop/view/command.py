@@ -312,7 +312,7 @@ def _feed_sink(
         if sink.watched:
             periods_s = 1.0 / config.drain_hz, 1.0 / config.curves_hz
         fed = show_session(drain, show, sink, stop, config.drain_hz, periods_s, share, has_ended)
-        counts = {topic: listener.counts(topic) for topic in TOPICS}
+        counts = {topic: listener.count_messages(topic) for topic in TOPICS}
         summary["lost"] = {
             topic.name: c.lost + (0 if topic in sampled else c.overwritten)
             for topic, c in counts.items()

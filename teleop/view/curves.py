@@ -265,7 +265,7 @@ class Plots(Painter):
         elif group.over == "sheath":
             for number, sheath_rows in split_rows(rows, "tendon").items():
                 for curve in curves:
-                    owner, label = f"tendon_{number}", self._sheaths.name(number)
+                    owner, label = f"tendon_{number}", self._sheaths.name_tendon(number)
                     yield curve, owner, label, sheath_rows, sheath_rows[curve.field]
         elif group.over == "sender":
             sender = format_role(topic.publisher or Role.LAUNCHER)
@@ -276,7 +276,9 @@ class Plots(Painter):
         else:
             tendons = group.over == "tendon"
             for index in range(int(rows["tendons"][-1]) if tendons else self._joints):
-                label = self._sheaths.name(index) if tendons else ""  # a view is of one joint
+                label = (
+                    self._sheaths.name_tendon(index) if tendons else ""
+                )  # a view is of one joint
                 for curve in curves:
                     yield curve, f"{group.over}_{index}", label, rows, rows[curve.field][:, index]
 

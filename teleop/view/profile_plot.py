@@ -157,7 +157,7 @@ class ProfileView(Painter):
             self._sender.send_static(f"{path}/curve", mark)
         name = rr.Points2D(
             [[WIDTH - 0.95 + 0.75 * side, -1.12]],
-            labels=f"estimated {self._sheaths.name(tendon)}",
+            labels=f"estimated {self._sheaths.name_tendon(tendon)}",
             colors=slides, radii=1e-4, show_labels=True,
         )  # fmt: skip
         self._sender.send_once(f"{path}/name", name)

@@ -352,7 +352,7 @@ class Scene(BatchDisplay):
         if self._plotted:
             shown += self._draw_plots(batches)
         if self._spatial:
-            for tendon, rows in self._profile_rows(batches):
+            for tendon, rows in self._select_profiles(batches):
                 self._tubes.draw(tendon, rows)
                 shown += len(rows)
             self._levers.draw(batches)
@@ -369,7 +369,7 @@ class Scene(BatchDisplay):
             return 0
         if TENDONS in batches:
             self._loops.draw(self._subsample(batches[TENDONS], self._config.rate_hz.loop))
-        for tendon, rows in self._profile_rows(batches) if self._everything else ():
+        for tendon, rows in self._select_profiles(batches) if self._everything else ():
             self._profiles.send_values(tendon, rows)
         return self._plots.draw(batches)
 
@@ -378,7 +378,7 @@ class Scene(BatchDisplay):
         shown = 0
         if TENDONS in batches:
             self._profiles.add(batches[TENDONS])
-        for tendon, rows in self._profile_rows(batches):
+        for tendon, rows in self._select_profiles(batches):
             self._profiles.draw(tendon, rows)
         for role, topic in ((Role.MASTER, HAND), (Role.SLAVE, STATE)):
             if topic in batches:
@@ -389,7 +389,7 @@ class Scene(BatchDisplay):
                 shown += len(batches[topic])
         return shown
 
-    def _profile_rows(self, batches: Mapping[AnyTopic, Rows]) -> Iterator[tuple[int, Rows]]:
+    def _select_profiles(self, batches: Mapping[AnyTopic, Rows]) -> Iterator[tuple[int, Rows]]:
         """Yield each tendon with its tension profiles, at the rate of the display."""
         for tendon, rows in (
             split_rows(batches[PROFILE], "tendon").items() if PROFILE in batches else ()

@@ -87,7 +87,7 @@ class Sheaths:
         """Return the tendons of a joint, `a` first."""
         return sorted(t for t, shape in self.shapes.items() if shape.joint == joint)
 
-    def name(self, tendon: int) -> str:
+    def name_tendon(self, tendon: int) -> str:
         """Return the name of a tendon: joint and side (1a, 1b, 2a, ...)."""
         shape = self.shapes.get(tendon)
         if shape is None:

@@ -287,7 +287,7 @@ def _read_hands(document: ConfigDocument) -> list[HandAxes]:
             hands.append(HandAxes(first, names, rotation))
             first += len(names)
     except (AttributeError, TypeError, ValueError) as error:  # the master's classes are not ours
-        raise document.error(
+        raise document.build_error(
             ("master", "mapping", "hands"),
             "must be a list of hands, with axes as [x, y, z] and registration as three angles",
         ) from error

@@ -286,7 +286,9 @@ class Bench:
         self.link, self.master, self.launcher = links
         self.link.world, self.state, self._commands = self._command, State.READY, 0
         clock = EventClock(1000.0, lambda: False, partial(self.link.wait, COMMAND))
-        model = loop.build_rig_model(rig.joints, [tendon.model() for tendon in config.tendons])
+        model = loop.build_rig_model(
+            rig.joints, [tendon.build_model() for tendon in config.tendons]
+        )
         self.slave, self._ticks = SlaveProcess(config, self.link, rig, model, clock), iter(clock)
 
     def _command(self):

@@ -74,7 +74,7 @@ def test_one_sample_comes_of_both_buses_and_the_error_of_its_time_is_stated(buse
         sample = follow(rig, start + 0.001)
         assert sample.proximal_tension == pytest.approx([3.0], abs=0.5)
         assert np.all(np.diff([sample.time_s for sample in read_some(rig)]) > 0.0)
-        assert 0.0 < rig.summary()["alignment_error_ms"] < 1000.0
+        assert 0.0 < rig.summarise()["alignment_error_ms"] < 1000.0
         board.ended = True
         with pytest.raises(RigFault, match="unplugged"):
             read_for(rig, 5.0)

@@ -238,7 +238,7 @@ def test_settings_of_other_programs_are_set_before_the_torque_and_told(servos):
         found = [servo.get(a, 1) for a in left]
         assert (found, servo.get(ACCELERATION, 4)) == ([0, 255, 2, 0, 0x35], 0)
         engage(rig, moving(servos))
-    said = rig.summary()["motors_settings"]
+    said = rig.summarise()["motors_settings"]
     assert "servo 2: Drive Mode was 12, set to 0" in said
     assert "servo 2: Secondary ID was 1, set to 255" in said
     assert "servo 2: Startup Configuration was 3, set to 0" in said
@@ -341,7 +341,7 @@ def test_read_only_asks_and_writes_nothing(servos):
     assert sample.proximal_displacement == pytest.approx([0.0, 0.0], abs=5e-5)
     assert servos.kinds == {PING, READ, SYNC_READ}
     assert [servo.get(GOAL, 4) for servo in servos.servos.values()] == goals
-    assert "servo 1: Drive Mode is 4, a session sets 0" in rig.summary()["motors_settings"]
+    assert "servo 1: Drive Mode is 4, a session sets 0" in rig.summarise()["motors_settings"]
 
 
 def test_a_second_program_is_refused_and_the_first_goes_on(servos):

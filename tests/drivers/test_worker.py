@@ -33,7 +33,7 @@ class Motors:
     def stop(self):
         self.targets.append(STOP)
 
-    def counts(self):
+    def summarise(self):
         return {}
 
     def close(self):
@@ -136,16 +136,16 @@ def large():
 def test_the_end_of_a_killed_process_is_seen_before_its_files_are_closed(large):
     process, ours = large
     parent = ParentProcess(process.pid)
-    assert not parent.ends()
+    assert not parent.is_ending()
     process.kill()
     seen = closed = False
     while not closed:
         # looked at first: both may have come in between
         closed = packets.receive_packet(ours) == b""
-        seen = seen or parent.ends()
+        seen = seen or parent.is_ending()
     assert seen
     process.wait()
-    assert parent.ends()
+    assert parent.is_ending()
 
 
 def test_motors_of_a_slave_that_ends_are_stopped_while_its_socket_is_still_open(large):

@@ -187,7 +187,7 @@ def test_a_wait_ends_at_its_time_though_states_keep_coming():
     line.late = 10**9
     master, run_on = ticking(line, Stylus(), rate_hz=100.0)
     run_on(5)
-    assert master.summary().overruns == 0
+    assert master.summarise().overruns == 0
 
 
 class Late(ObedientLink):
@@ -218,8 +218,8 @@ def test_on_a_link_that_is_always_late_no_time_is_spent_waiting_but_now_and_then
     run_on(RETRY_TICKS - 1)
     assert len(line.waited) == LATE_ANSWERS_MAX + 2
     assert device.forces[-1][0] < -0.5  # the newest state is rendered all the same
-    assert master.summary().latency_ms.n > RETRY_TICKS
-    assert master.summary().stages_us["all"].n == 0  # none was answered in its own tick
+    assert master.summarise().latency_ms.n > RETRY_TICKS
+    assert master.summarise().stages_us["all"].n == 0  # none was answered in its own tick
     line.commands, before = 0, len(line.waited)
     run_on(RETRY_TICKS + 10)
     assert len(line.waited) >= before + 10  # they are waited for again
@@ -348,7 +348,7 @@ def test_a_device_that_is_looked_for_is_a_fault_told_once_and_the_master_goes_on
         "haptic device: it is back; let go of everything, then engage",
         "off: ended",
     ]
-    assert master.summary().faults == ((Reason.DEVICE_FAULT, "pulled out"),)
+    assert master.summarise().faults == ((Reason.DEVICE_FAULT, "pulled out"),)
 
 
 def test_after_a_suspension_the_hand_is_lost_with_any_device(clock, monkeypatch):

@@ -31,7 +31,9 @@ ON = AdaptationConfig(enabled=True)
 
 
 def started(config=ON, second=TENDON):
-    model = loop.build_rig_model(JOINTS, [TENDON.model(), second.model(), TENDON.model()])
+    model = loop.build_rig_model(
+        JOINTS, [TENDON.build_model(), second.build_model(), TENDON.build_model()]
+    )
     return loop.init_slave(model, SlaveConfig(adaptation=config), loop.DIRECT, starts_at_zero=True)
 
 
@@ -72,7 +74,7 @@ def test_tendons_of_a_pair_adapt_together_and_a_single_one_by_itself():
     assert slave.adapter.pairs["started"].tolist() == [True, False]
     assert (slave.prepared["adaptation_error"] > 0.0).all()
     assert slave.adapter.get_friction(1).tobytes() == slave.adapter.pairs[0]["b"].tobytes()
-    models = [TENDON.model()] * 4 + [TendonConfig(effective_friction=0.05).model()]
+    models = [TENDON.build_model()] * 4 + [TendonConfig(effective_friction=0.05).build_model()]
     (line,) = describe_fixed(ON, ((0,), (1, 2), (3, 4)), models)
     assert line.startswith("slave.adaptation: K stays as calibrated at joint 3: ")
     assert describe_fixed(ON, ((0,), (1, 2)), models) == []
@@ -153,7 +155,9 @@ def test_a_sensing_loop_tells_k_of_a_rig_at_rest():
     )
     rig = SimulatedRig(config)
     models = [
-        to_tendon_config(t, j.body.pretension).model() for j in config.joints for t in j.tendons
+        to_tendon_config(t, j.body.pretension).build_model()
+        for j in config.joints
+        for t in j.tendons
     ]
     slave = loop.init_slave(
         loop.build_rig_model(rig.joints, models), SlaveConfig(adaptation=ON), loop.DIRECT, True

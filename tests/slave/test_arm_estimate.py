@@ -29,7 +29,7 @@ def estimate_samples(arm, *displacements):
     count = 2 * len(pairs)
     layout = view_struct(build_rig_layout(pairs, [arm]))
     estimator = build_arm_estimator(pairs, [arm])
-    prepared = online.prepare_all([TendonConfig(effective_friction=0.5).model()] * count)
+    prepared = online.prepare_all([TendonConfig(effective_friction=0.5).build_model()] * count)
     states = online.build_initial_states(prepared)
     tendons = EstimatedTendon.array(MAX_TENDONS)
     tendons["valid"], tendons["tension"] = True, 5.0

@@ -52,7 +52,7 @@ class Wired:
 
     def advance(self): ...
 
-    def summary(self):
+    def summarise(self):
         return {}
 
     def close(self):

@@ -99,7 +99,7 @@ def test_the_slave_of_the_config_as_it_is_takes_the_file(done):
     assert find_not_ready_reason(config, rig) == ""
     true = true_sheaths(config)
     for tendon, (K, _) in zip(load_tendon_configs(config, rig.tendons), true, strict=True):
-        accepted = tendon.model().sheath.K
+        accepted = tendon.build_model().sheath.K
         assert abs(accepted - K) <= SURE / 2.0 * tendon.friction_error * K  # that is two sigma
 
 

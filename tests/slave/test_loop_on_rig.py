@@ -73,7 +73,7 @@ def on_rig(config):
     """Return a simulated rig and the slave that a config makes of it."""
     rig = SimulatedRig(config.rig)
     model = loop.build_rig_model(
-        rig.joints, [t.model() for t in load_tendon_configs(config, rig.tendons)]
+        rig.joints, [t.build_model() for t in load_tendon_configs(config, rig.tendons)]
     )
     return rig, SlaveBench(model, config, rig.starts_at_zero)
 

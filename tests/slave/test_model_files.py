@@ -123,7 +123,7 @@ def test_a_model_file_says_all_of_the_sheath(file):
         TendonConfig(model_file=file, drag=0.1)
     with pytest.raises(ValueError, match=r"^effective_friction: conflicts"):
         TendonConfig(model_file=file, effective_friction=0.5)
-    model = TendonConfig(model_file=file, length=2.0).model()
+    model = TendonConfig(model_file=file, length=2.0).build_model()
     sheath = model.sheath
     numbers = sheath.K, sheath.axial_stiffness, sheath.drag
     assert numbers == pytest.approx((0.8, 2.0 / 1e-4, 0.4))
@@ -135,7 +135,7 @@ def test_a_config_names_its_model_from_its_own_folder(file, tmp_path):
     config.write_text("slave: {tendons: [{model_file: model.yaml}]}\n")
     (tendon,) = load(config, SlaveConfig, "slave").tendons
     assert tendon.model_file == file
-    numbers = tendon.model().sheath.K, tendon.model().sheath.length
+    numbers = tendon.build_model().sheath.K, tendon.build_model().sheath.length
     assert numbers == pytest.approx((0.8, 1.5))
     config.write_text("slave: {tendons: [{model_file: none.yaml}]}\n")
     with pytest.raises(UsageError, match=r"none\.yaml: cannot read"):
@@ -146,7 +146,7 @@ def test_noise_and_pretension_stay_where_a_model_replaces_the_sheath(file):
     known = TendonConfig(effective_friction=0.5, tension_noise=0.01, pretension=0.7, drag=0.2)
     (tendon,) = load_tendon_configs(SlaveConfig(tendons=(known,)), 1, ((0,),), {"": file})
     assert (tendon.tension_noise, tendon.pretension) == (0.01, 0.7)
-    assert tendon.model().sheath.drag == pytest.approx(0.4)
+    assert tendon.build_model().sheath.drag == pytest.approx(0.4)
     (alone,) = load_tendon_configs(SlaveConfig(), 1, ((0,),), {"": file})
     assert alone.model_file == file
 
@@ -156,7 +156,7 @@ def test_one_tendon_of_several_gets_its_own(file, tmp_path):
     known = SlaveConfig(tendons=(TendonConfig(effective_friction=1.0),))
     given = model_files.parse([f"2a={file}", f"4={other}"])
     found = load_tendon_configs(known, 4, JOINTS, given)
-    assert [one.model().sheath.K for one in found] == pytest.approx([1.0, 1.0, 0.8, 0.5])
+    assert [one.build_model().sheath.K for one in found] == pytest.approx([1.0, 1.0, 0.8, 0.5])
     with pytest.raises(UsageError, match="must be one of 1a, 1b, 2a, 2b, 1, 2, 3, 4"):
         load_tendon_configs(known, 4, JOINTS, {"3a": file})
     with pytest.raises(UsageError, match="missing for some tendons"):

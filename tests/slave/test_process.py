@@ -138,7 +138,7 @@ class FakeRig:
         if self.advances == self.advance_fails_at:
             self.fail()
 
-    def summary(self):
+    def summarise(self):
         return {"reads": self.reads}
 
     def close(self):
@@ -163,7 +163,7 @@ class StoppableRig(FakeRig):
 def started(rig, line, stop, rate_hz=1000.0, history=None, config=CONFIG):
     wait = partial(line.wait, COMMAND)
     clock = EventClock(rate_hz, stop, wait, line.clock.now, line.clock.sleep)
-    model = loop.build_rig_model(rig.joints, [TENDON.model()])
+    model = loop.build_rig_model(rig.joints, [TENDON.build_model()])
     return SlaveProcess(config, line, rig, model, clock, history), clock
 
 
@@ -236,7 +236,7 @@ def test_a_rig_that_fails_ends_the_session_in_fault_and_is_left_alone(fails):
     for state in line.of(STATE)[-2:]:  # also the one that may be the only one seen
         assert (state.state, state.reason) == (State.FAULT, Reason.RIG_FAULT)
     assert line.said()[-2:] == [f"fault: {Reason.RIG_FAULT.text}", f"off: {slave.error}"]
-    assert slave.summary().reason.reason is Reason.RIG_FAULT
+    assert slave.summarise().reason.reason is Reason.RIG_FAULT
 
 
 def test_a_command_is_answered_with_its_stamp_and_the_time_that_it_took():

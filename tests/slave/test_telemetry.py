@@ -11,7 +11,7 @@ from teleop.session.state_machine import Reason, State
 from tests.slave.slave_bench import SlaveBench
 
 JOINTS = ((0, 1), (2,))
-MODELS = [TendonConfig(effective_friction=0.8).model()] * 3
+MODELS = [TendonConfig(effective_friction=0.8).build_model()] * 3
 NAMED = f"fault: {Reason.TENDON_BROKEN.text}: joint 1, tendon b"
 
 

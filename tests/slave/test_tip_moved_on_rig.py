@@ -73,7 +73,7 @@ def record(bends, motion, load, noise):
             rows.append((s.time_s, *(column[0] for column in row)))
         time = k * 1e-3
         rig.write(np.array([np.interp(time, [0.0, 0.7, HOLDS - 0.1], [0.0, via or to, to])]))
-    return np.array(rows).T, to_tendon_config(tendon, BODY.pretension).model()
+    return np.array(rows).T, to_tendon_config(tendon, BODY.pretension).build_model()
 
 
 @pytest.mark.parametrize("noise", [0.02, pytest.param(0.0, marks=pytest.mark.slow)])

@@ -288,7 +288,7 @@ def test_a_button_of_the_hand_is_an_answer(session):
     presses = [threading.Timer(0.5 * k, session.operator.press, (n,)) for k, n in ((1, 7), (2, 2))]
     for press in presses:
         press.start()
-    assert observer(design.begin(1).next()) == "1"
+    assert observer(design.begin(1).choose_trial()) == "1"
     for press in presses:
         press.join()
     with pytest.raises(TeleopError, match=r"no button was pressed within 0\.2 s"):

@@ -321,7 +321,9 @@ def test_the_keys_of_a_session_are_those_of_its_config() -> None:
 def test_a_snapshot_is_the_config_as_it_was_when_it_was_read(tmp_path: Path) -> None:
     path = write(tmp_path, "slave: {tendons: 3, folder: 'Größe\u2028\U0001f600'}\n")
     document = ConfigDocument.read(path, ["slave.pretension=2e-1", "rate_hz=.inf"])
-    document = document.override(Override.of("slave.rig", {"type": "replayed", "file": "x.csv"}))
+    document = document.override(
+        Override.from_value("slave.rig", {"type": "replayed", "file": "x.csv"})
+    )
     (tmp_path / "scratch").mkdir()
     snapshot = document.save_snapshot(tmp_path / "scratch" / "a")
     path.write_text("slave: {tendons: 4}\n")

@@ -157,7 +157,7 @@ def test_the_layouts_name_what_there_is():
     for path in paths:
         topic, _, text = path.partition(".")
         assert field_of(topics[topic], text), path
-    outputs = {output.topic(""): output for output in OUTPUTS}
+    outputs = {output.build_topic_name(""): output for output in OUTPUTS}
     tree = ElementTree.parse(ROOT / "configs" / "plotjuggler-layout.xml")  # noqa: S314 - ours
     for curve in tree.iter("curve"):
         topic, _, rest = curve.get("name").rpartition("/")

@@ -176,11 +176,11 @@ def test_reliable_topics_are_late_but_whole_unless_asked_otherwise():
         delay=0.1, jitter=0.05, loss=1.0, burst_loss=0.5, reorder=1.0, duplicate=1.0, corrupt=1.0,
         cuts=((0.0, 1.0),),
     )  # fmt: skip
-    assert worst.of(live=True) == worst
-    _, fates = passed_on(worst.of(live=False), 1500)
+    assert worst.select_impairments(live=True) == worst
+    _, fates = passed_on(worst.select_impairments(live=False), 1500)
     assert set(fates[1000:]) == {DeliveryFlags.PASSED}
     assert set(fates[:1000]) == {DeliveryFlags.CUT}
-    clean = DirectionConfig(delay=0.1, loss=1.0, reliable="clean").of(live=False)
+    clean = DirectionConfig(delay=0.1, loss=1.0, reliable="clean").select_impairments(live=False)
     assert clean == DirectionConfig()
 
 
@@ -210,7 +210,7 @@ def test_a_session_has_a_proxy_only_where_its_config_says_so():
 
 def test_the_proxy_leaves_the_machine_no_easier_than_a_side():
     with pytest.raises(UsageError, match=r"^impair\.endpoint: .*off loopback, link\.keys must"):
-        ImpairConfig(endpoint="10.0.0.1:7449").link(LinkConfig())
+        ImpairConfig(endpoint="10.0.0.1:7449").build_link_config(LinkConfig())
 
 
 # --- the delay queue ------------------------------------------------------------------------------
@@ -369,14 +369,14 @@ def test_the_sides_meet_through_the_proxy_and_hear_what_it_lets_through(bridged)
         time.sleep(0.2)
         heard = listener.drain()
         assert sum(item.topic is EVENT for item in heard) == 1
-        counts = listener.counts(COMMAND)
+        counts = listener.count_messages(COMMAND)
         told = proxy.send_request("status")["to_slave"]["command"]
         assert told["came"] > 900  # a stalled machine drops some before they are here
         assert told["sent"] == told["came"] - told["lost"] + told["duplicated"]
         assert 50 < told["lost"] < 170
         assert told["corrupted"] > 0
         # every message that was sent is accounted for on the other side, by kind
-        refused = listener.refused(COMMAND)  # their tags do not fit
+        refused = listener.count_refused(COMMAND)  # their tags do not fit
         assert counts.received + counts.rejected + refused == told["sent"]
         both = told["duplicated"] - counts.repeated  # copies of messages that were corrupted too
         assert 0 <= both <= 10

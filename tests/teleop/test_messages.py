@@ -71,7 +71,7 @@ def test_what_is_packed_is_unpacked(message: Message, head: tuple[int, int, int]
         if item.name not in HEAD:
             assert same(getattr(back, item.name), getattr(message, item.name))
     assert message.schema.check(data) == head
-    assert message.schema.sender(data) == head[0]
+    assert message.schema.read_sender(data) == head[0]
 
 
 @given(messages(), HEADS)

@@ -106,12 +106,12 @@ class MemoryLink(Link):
 
     def sent(self, topic) -> list[bytes]:
         """What was published on `topic` and not carried over yet."""
-        return self._zenoh.sent[self._key(topic.name)]
+        return self._zenoh.sent[self._build_key(topic.name)]
 
     def putting(self, topic):
         """The code of the function that sends messages of `topic`."""
-        self._publisher(topic)
-        return self._zenoh.puts[self._key(topic.name)].__code__
+        self._get_publisher(topic)
+        return self._zenoh.puts[self._build_key(topic.name)].__code__
 
     def meet(self, peers: "list[Link]") -> None:
         """Announce the others of the session to this side."""
@@ -142,7 +142,7 @@ class MemoryLink(Link):
 
     def _tags(self, key: str, data: bytes) -> bytes:
         """The tags of a message that was altered: as if its sender had sent it so."""
-        (topic,) = (topic for topic in TOPICS if self._key(topic.name) == key)
+        (topic,) = (topic for topic in TOPICS if self._build_key(topic.name) == key)
         tags = b""
         for addressee, base in self._keyring.find_seal_keys(topic).entries:
             mac = base.copy()

@@ -76,7 +76,7 @@ class Session:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
         tendons = load_tendon_configs(config, rig.tendons, rig.joints)
-        models = [tendon.model() for tendon in tendons]
+        models = [tendon.build_model() for tendon in tendons]
         model = loop.build_rig_model(rig.joints, models, arms=shared.arms)
         wait = partial(self._at_slave.wait, COMMAND)
         events = EventClock(shared.rate_hz, never, wait, clock.now, clock.sleep)

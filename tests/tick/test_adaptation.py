@@ -106,7 +106,7 @@ def test_a_change_of_shape_is_said_as_it_begins_and_as_it_has_settled(moved: Any
     assert head.endswith("K of joint 1, tendon a from 0.78")
     said_K, error = map(float, tail.split(" ± "))
     assert abs(said_K - AFTER) < min(error, 0.05 * AFTER)
-    *before, last = moved.session.slave.summary().rig.friction
+    *before, last = moved.session.slave.summarise().rig.friction
     assert before == [begun, settled]
     assert last.startswith("K of joint 1, tendon a: ")
     assert last.endswith("; calibrated 0.78")
@@ -124,4 +124,4 @@ def test_listeners_have_friction_with_its_interval_once_a_second(moved: Any) -> 
 def test_no_calibration_is_advised_where_the_adaptation_decides(moved: Any) -> None:
     """The same session with the K of the calibration ends in a fault: `CALIBRATION_DUE`."""
     assert moved.advice == {Advice.NONE}
-    assert moved.session.slave.summary().final_state is State.ENGAGED
+    assert moved.session.slave.summarise().final_state is State.ENGAGED

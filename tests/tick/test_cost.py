@@ -50,7 +50,7 @@ def counted(session: Session) -> Session:
 
 
 def test_what_is_counted_is_a_session_that_renders_forces(session: Session) -> None:
-    master, slave = session.master.summary(), session.slave.summary()
+    master, slave = session.master.summarise(), session.slave.summarise()
     for side in (master, slave):
         assert side.final_state is State.ENGAGED
         assert side.faults == ()

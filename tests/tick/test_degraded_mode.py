@@ -50,7 +50,7 @@ def test_both_sides_go_on_with_less_force_and_motion_and_say_why() -> None:
         session.alter(lambda data: data[:-1], lambda data: data[:-1])
         run(session, 0.1)
         assert outlines(session) == ((State.HOLDING, Reason.PEER_SILENT),) * 2
-        summary = session.slave.summary()
+        summary = session.slave.summarise()
         assert summary.degraded_s == pytest.approx(0.78, abs=0.03)
         assert summary.degraded.text.startswith("sheath has changed its shape; calibrate again: j")
 

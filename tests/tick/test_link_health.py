@@ -58,7 +58,7 @@ def shifted(message: type[Message], field: str, by_ns: int) -> Callable[[bytes],
         row = np.frombuffer(content, schema.dtype)
         if row[field][0]:
             row[field] += by_ns
-        row["checksum"] = schema.checksum(memoryview(content)[8:])
+        row["checksum"] = schema.compute_checksum(memoryview(content)[8:])
         return bytes(content)
 
     return alter

@@ -136,7 +136,7 @@ def open_bus(config: Cia402Config) -> ClaimedBus:
         raise DriverFault(f"{place}: {fault}")
     claim = claim_port(channel) if is_serial else claim_bus(place, f"{interface} {channel}")
     try:
-        bus = can.Bus(**config.bus.arguments())
+        bus = can.Bus(**config.bus.build_arguments())
     except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
         claim.close()
         reason = _explain_error(config.bus, error) or (

@@ -119,7 +119,7 @@ class BusConfig(RangedConfig):
     # in which an slcan adapter restarts after opening
     tty_wait: float = build_ranged_field(2.0, 0.0, 10.0, "s")
 
-    def arguments(self) -> dict[str, Any]:
+    def build_arguments(self) -> dict[str, Any]:
         """Return the arguments of `can.Bus`."""
         found: dict[str, Any] = {"interface": self.interface, "channel": self.channel}
         if self.channel.isdecimal():  # Kvaser and others count theirs

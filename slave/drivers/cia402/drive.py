@@ -138,7 +138,7 @@ class NodeSetup:
             time.sleep(TWIN_S)
             if self._monitor.count_answers(self._number) < 2:
                 return
-        raise self._fault(f"answers each request twice: {TWINS_TEXT}")
+        raise self._build_fault(f"answers each request twice: {TWINS_TEXT}")
 
     def drive(self, with_cell: bool) -> None:
         """Set up a drive, without power; `DriverFault` if it refuses, has a fault or no home."""
@@ -146,7 +146,7 @@ class NodeSetup:
         config = self._config
         mode, bit = _MODES[config.mode]
         if not self.get(0x6502, 0) >> bit & 1:
-            raise self._fault(f"has no mode '{config.mode}' (object 6502)")
+            raise self._build_fault(f"has no mode '{config.mode}' (object 6502)")
         self._disable()
         self.put(0x6060, 0, 1, mode, signed=True)
         self.put(0x6065, 0, 4, config.following_error)
@@ -160,21 +160,21 @@ class NodeSetup:
         count, exponent = config.period
         self.put(0x60C2, 1, 1, count)
         self.put(0x60C2, 2, 1, exponent, signed=True)
-        self._error_control()
+        self._set_up_error_control()
         target = (0x60C1, 1, 32) if config.mode == "interpolation" else (0x607A, 0, 32)
         self._map(0x1400, 0x200, [(0x6040, 0, 16), target])
-        cell = self._cell()
+        cell = self._find_cell()
         sent = [(0x6041, 0, 16), (0x6064, 0, 32)]
         cell_in_drive = with_cell and cell[2] == 16
         self._map(0x1800, 0x180, [*sent, cell] if cell_in_drive else sent)
         self._map(0x1801, 0x280, [cell] if with_cell and not cell_in_drive else [])
 
-    def cell(self) -> None:
+    def set_up_cell(self) -> None:
         """Set up a node that has a load cell and no motor in use."""
         self.require_single()
         self.put(0x1017, 0, 2, HEARTBEAT_MS)
         self._map(0x1800, 0x180, [])
-        self._map(0x1801, 0x280, [self._cell()])
+        self._map(0x1801, 0x280, [self._find_cell()])
 
     def reset_fault(self) -> DriveState:
         """Reset a fault by the rising edge of its bit; return the state after it."""
@@ -183,7 +183,7 @@ class NodeSetup:
         self.put(0x6040, 0, 2, ControlWord.DISABLE_VOLTAGE, check=False)
         return decode_drive_state(self.get(0x6041, 0))
 
-    def description(self) -> str:
+    def describe(self) -> str:
         """Return name, profile and state, as far as the node tells."""
         profile = self.get(0x1000, 0) & 0xFFFF
         self._sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S  # it is there
@@ -231,7 +231,7 @@ class NodeSetup:
             data = int(value).to_bytes(size, "little", signed=signed)
         except OverflowError as error:
             kind = f"{8 * size} bits, {'signed' if signed else 'unsigned'}"
-            raise self._fault(
+            raise self._build_fault(
                 f"object {index:04X}:{subindex}: {value} does not fit {kind}"
             ) from error
         with self._translate_errors(f"object {index:04X}:{subindex} = {meaning or value}"):
@@ -239,7 +239,7 @@ class NodeSetup:
             readback = self._sdo.upload(index, subindex) if check else data
         if readback[:size] != data:
             read = int.from_bytes(readback[:size], "little", signed=signed)
-            raise self._fault(
+            raise self._build_fault(
                 f"object {index:04X}:{subindex}: set to {meaning or value}, reads back {read}"
             )
 
@@ -247,21 +247,23 @@ class NodeSetup:
         """Raise `DriverFault` if the node is no drive, has a fault or is not homed; read only."""
         self.require_single()
         if self.get(0x1000, 0) & 0xFFFF != 402:
-            raise self._fault("is no CiA 402 drive (object 1000)")
+            raise self._build_fault("is no CiA 402 drive (object 1000)")
         status = self.get(0x6041, 0)
         if decode_drive_state(status) in (DriveState.FAULT, DriveState.FAULT_REACTION):
             code = format_emergency(self.get(0x603F, 0))
-            raise self._fault(f"has a fault: {code}; remove its cause, then `teleop rig reset`")
+            raise self._build_fault(
+                f"has a fault: {code}; remove its cause, then `teleop rig reset`"
+            )
         bit = self._config.homed_bit
         if bit is not None and not status >> bit & 1:
-            raise self._fault(
+            raise self._build_fault(
                 f"is not homed (bit {bit} of its status word): home it by its own tool, or set "
                 "homed_bit to null if its encoder is absolute"
             )
         for index, bits, text in _POSITION_SETTINGS:
             value = self._get_if_there(index)
             if value & bits:
-                raise self._fault(
+                raise self._build_fault(
                     f"has {text} (object {index:04X} is 0x{value:X}): set it to 0 by its own tool"
                 )
 
@@ -271,13 +273,13 @@ class NodeSetup:
         until_s = time.monotonic() + DISABLE_S
         while (state := decode_drive_state(self.get(0x6041, 0))) in _POWERED:
             if time.monotonic() > until_s:
-                raise self._fault(
+                raise self._build_fault(
                     f"is still {state.text} {DISABLE_S:g} s after disable voltage (object 6040): "
                     "disable it by its own tool; its mode and limits were not changed"
                 )
             time.sleep(POLL_S)
 
-    def _error_control(self) -> None:
+    def _set_up_error_control(self) -> None:
         """Set up how the drive notices that this side is gone."""
         config = self._config
         if config.error_control == "guarding":
@@ -288,7 +290,7 @@ class NodeSetup:
             self.put(0x1017, 0, 2, HEARTBEAT_MS)
             self.put(0x1016, 1, 4, config.master << 16 | round(config.watchdog * 1e3))
 
-    def _cell(self) -> tuple[int, int, int]:
+    def _find_cell(self) -> tuple[int, int, int]:
         analogue = self._config.analogue
         return analogue.index, analogue.subindex, analogue.bits
 
@@ -321,15 +323,15 @@ class NodeSetup:
         try:
             yield
         except SdoAbortedError as error:
-            raise self._fault(f"{place}: {format_abort(error)}") from error
+            raise self._build_fault(f"{place}: {format_abort(error)}") from error
         except SdoError as error:
             if "instead" in str(error):  # the answer is of another object
-                raise self._fault(
+                raise self._build_fault(
                     f"{place}: an answer to another request came: another program speaks to it, or "
                     f"{TWINS_TEXT}"
                 ) from error
             if "No SDO response" not in str(error):
-                raise self._fault(f"{place}: {error}") from error
+                raise self._build_fault(f"{place}: {error}") from error
             self._monitor.forget_answers(self._number)
             timeout_s = self._sdo.RESPONSE_TIMEOUT
             until_s = time.monotonic() + (LATE_S if timeout_s == SDO_TIMEOUT_S else 0.0)
@@ -338,5 +340,5 @@ class NodeSetup:
             reason = self._monitor.explain_silence(self._number, timeout_s)
             raise NoAnswer(f"drive {self._number} {reason}") from error
 
-    def _fault(self, text: str) -> DriverFault:
+    def _build_fault(self, text: str) -> DriverFault:
         return DriverFault(f"drive {self._number} {text}")

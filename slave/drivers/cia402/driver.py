@@ -89,7 +89,7 @@ class Cia402Driver:
                 if node.moves:
                     set_up.drive(with_cell=node.has_cell)
                 else:
-                    set_up.cell()
+                    set_up.set_up_cell()
         except can.CanError as error:
             raise to_driver_fault(self._config, error) from error
         finally:
@@ -135,7 +135,7 @@ class Cia402Driver:
         """
         self._requested, self._obeyed = RequestedState.STOP, False
 
-    def counts(self) -> dict[str, int | float | str]:
+    def summarise(self) -> dict[str, int | float | str]:
         """Return the achieved rate, cycles without every answer, and the load of the bus."""
         span = self._sync_s - self._began_s
         rate = (self._cycles - self._lost) / span if span > 0.0 else 0.0

@@ -70,7 +70,7 @@ class BusMonitor(can.Listener):
         """Nodes that have sent anything."""
         return sorted(self._heard)
 
-    def emergency(self, number: int) -> str:
+    def describe_emergency(self, number: int) -> str:
         """Return the newest emergency of a node in words; empty if there is none."""
         code = self._emergencies.get(number, 0)
         return format_emergency(code) if code else ""
@@ -109,7 +109,7 @@ class BusMonitor(can.Listener):
                 f"answers SDO requests later than {timeout_s * 1e3:g} ms: is it still starting, or "
                 "does another program speak to it?"
             )
-        if emergency := self.emergency(number):
+        if emergency := self.describe_emergency(number):
             return f"does not answer SDO requests, and reports: {emergency}"
         if number in self._heard:
             return (

@@ -52,7 +52,7 @@ class Cia402Reader:
         except (can.CanError, OSError) as error:
             raise to_driver_fault(self._config, error) from error
         for number in self._nodes:
-            if emergency := self._monitor.emergency(number):
+            if emergency := self._monitor.describe_emergency(number):
                 raise DriverFault(f"drive {number} reports: {emergency}")
         sampled_s = 0.5 * (began_s + time.monotonic())
         return (Reading(sampled_s, np.array(position, float), np.array(cell, float)),)
@@ -60,7 +60,7 @@ class Cia402Reader:
     def stop(self) -> None:
         """Do nothing: no motor was enabled."""
 
-    def counts(self) -> dict[str, int | float | str]:
+    def summarise(self) -> dict[str, int | float | str]:
         """Return nothing."""
         return {}
 
@@ -80,7 +80,7 @@ def scan(config: Cia402Config) -> Iterator[str]:
         for number in range(1, NODE_NUMBER_MAX + 1):
             node = NodeSetup(network, number, config, monitor, ANSWER_S)
             try:
-                line = node.description()
+                line = node.describe()
             except NoAnswer:
                 continue
             except DriverFault as fault:

@@ -62,7 +62,7 @@ class DynamixelDriver:
         torque_off = [0] * len(self._channels.motors)
         self._bus.call(lambda: self._send(registers.TORQUE_ENABLE, torque_off))
 
-    def counts(self) -> dict[str, int | float | str]:
+    def summarise(self) -> dict[str, int | float | str]:
         """Return rate, reads without an answer of every servo, and settings that were changed."""
         span = self._heard_s - self._began_s
         answered = self._cycles - self._lost

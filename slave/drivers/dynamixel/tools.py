@@ -72,7 +72,7 @@ class DynamixelReader:
     def stop(self) -> None:
         """Do nothing: no motor was enabled."""
 
-    def counts(self) -> dict[str, int | float | str]:
+    def summarise(self) -> dict[str, int | float | str]:
         """Return the reads without an answer, and the settings that a session would change."""
         return {"lost_reads": self._lost, **self._bus.describe(self._settings)}
 

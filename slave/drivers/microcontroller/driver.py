@@ -138,7 +138,7 @@ class MicrocontrollerDriver:
         self._enable = self._obeyed = False
         self._send(FrameType.STOP)
 
-    def counts(self) -> dict[str, int | float | str]:
+    def summarise(self) -> dict[str, int | float | str]:
         """Return frames, damaged and lost frames, and the rate."""
         span = self._heard_s - self._began_s if self._states else 0.0
         return {

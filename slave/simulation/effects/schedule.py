@@ -41,7 +41,7 @@ class JointSchedule:
         self._slid = {side: np.zeros(len(of)) for side, of in self._knobs.items()}
         self._before = np.zeros(2)
 
-    def at(
+    def update_joint(
         self, time: float, travel: float, housing: Array, is_changing: bool = False
     ) -> Joint | None:
         """Return the joint from `time` [s] on, or None if unchanged.
@@ -59,9 +59,9 @@ class JointSchedule:
         self._began |= dict.fromkeys(begins, travel)
         if not (begins or is_changing or any(is_varying(effect) for effect in self._began)):
             return None
-        return self._joint(time)
+        return self._build_joint(time)
 
-    def _joint(self, time: float) -> Joint:
+    def _build_joint(self, time: float) -> Joint:
         joint = self._healthy
         for side, effects in self._knobs.items():
             tendon = getattr(joint, side)
@@ -88,7 +88,7 @@ class SensorSchedule:
         self._tendons = [find_affected_tendons(effect, joints) for effect in self._all]
         self._began = 0
 
-    def at(self, time: float) -> Sensors | None:
+    def update_sensors(self, time: float) -> Sensors | None:
         """Return the sensors from `time` [s] on, or None if unchanged."""
         active = [(e, t) for e, t in zip(self._all, self._tendons, strict=True) if e.start <= time]
         if len(active) == self._began and not any(is_varying(effect) for effect, _ in active):
@@ -113,7 +113,7 @@ class SampleSchedule:
         """Return the reading that arrives at `time` [s], None if it is lost."""
         for i, effect in enumerate(self._all):
             if effect.start <= time:
-                self._struck[i] = effect.strikes(self._struck[i], self._random.random())
+                self._struck[i] = effect.is_struck(self._struck[i], self._random.random())
         struck = [e for e, is_struck in zip(self._all, self._struck, strict=True) if is_struck]
         if any(isinstance(effect, LostSamples) for effect in struck):
             return None

@@ -245,7 +245,7 @@ class SampleEffect(Effect):
                 f"share: must be at most {share_max:.2g} in bursts of {self.burst:g}; raise burst"
             )
 
-    def strikes(self, struck: bool, chance: float) -> bool:
+    def is_struck(self, struck: bool, chance: float) -> bool:
         """Return whether this sample is affected; `chance` is uniform in 0 to 1."""
         if struck:
             return chance < 1.0 - 1.0 / self.burst

@@ -72,11 +72,11 @@ def run(args: argparse.Namespace, noise: dict[str, float]) -> int:
     names = [f"{k}{'ab'[i]}" for k, of in enumerate(joints, 1) for i in range(len(of))]
     routing = build_routing(joints, arms)
     tendons = load_tendon_configs(config, len(names), joints)
-    sheaths = [tendon.model().sheath for tendon in tendons]
+    sheaths = [tendon.build_model().sheath for tendon in tendons]
     mapping = load_mapping(args)
     tables = read_tables(
         args.data[0],
-        [Columns.of_tendon(k) for k in range(1, len(names) + 1)],
+        [Columns.from_tendon(k) for k in range(1, len(names) + 1)],
         args.drop_nonfinite,
         zero_errors=("proximal_tension", "distal_tension"),
         diagnosed=True,

@@ -137,7 +137,7 @@ def read_files(args: argparse.Namespace) -> DiagnosisData:
         make_folder(args.out, "report.html")
     tendon = estimate.select_tendon(args.tendon, estimate.read_recorded_joints(args.data[0]), 1)
     mapping = load_mapping(args)
-    columns = parse_column_options([*mapping.options(), *args.column], tendon)
+    columns = parse_column_options([*mapping.format_options(), *args.column], tendon)
     data = read_data(args.data, args.validate, columns, args.drop_nonfinite, mapping)
     if args.leave_one_file_out and len(data.fitted) < 2:
         raise UsageError("--leave-one-file-out: give at least two files of one bench")
@@ -177,7 +177,9 @@ def diagnose_files(
     seconds = time.monotonic() - begin_s
     accepted = {} if sheath is None else json_report.compare_parameters(diagnosis, sheath)
     tree = json_report.build_report(diagnosis, data.files, seconds, accepted, data.further)
-    tree["read_as"] = [Reading.of(table).to_json() for table in (*data.fitted, *data.validation)]
+    tree["read_as"] = [
+        Reading.from_table(table).to_json() for table in (*data.fitted, *data.validation)
+    ]
     return ReportContent(diagnosis, data, accepted), tree
 
 

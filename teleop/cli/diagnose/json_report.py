@@ -47,7 +47,7 @@ def load_sheath(path: Path, tendon: int) -> Sheath:
     tendons = file.load(path).tendons
     if len(tendons) > 1 and tendon >= len(tendons):
         raise UsageError(f"{path}: has {len(tendons)} tendons, not tendon {tendon + 1}")
-    return tendons[tendon if len(tendons) > 1 else 0].model().sheath
+    return tendons[tendon if len(tendons) > 1 else 0].build_model().sheath
 
 
 def compare_parameters(diagnosis: Diagnosis, sheath: Sheath) -> dict[str, ComparedParameter]:

@@ -20,7 +20,7 @@ EVEN = (SectionConfig(LENGTH, 0.225),)
 TIGHT_FIRST = (SectionConfig(0.2, 0.05), SectionConfig(1.3, 0.5))
 GATE = GateConfig(displacement_min=-0.06, displacement_max=0.06)
 KNOWN = InitialiseConfig(sheaths=(KnownSheathConfig(LENGTH, EA),))
-QUICK = KNOWN.quick()
+QUICK = KNOWN.to_quick()
 RANGE = 0.030  # [m] between the stops
 
 
@@ -63,7 +63,7 @@ class HousingOnly:
         self.written.append(proximal_displacement.tolist())
         self.rig.write(proximal_displacement)
 
-    def summary(self):
+    def summarise(self):
         return {}
 
     def close(self):

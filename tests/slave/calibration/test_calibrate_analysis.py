@@ -63,7 +63,7 @@ def test_an_even_sheath_is_found_by_all_methods():
     assert found.stiffness_per_length.value == pytest.approx(EA / LENGTH, rel=0.01)
     assert found.M_pull.value == pytest.approx(-math.expm1(-K) / K * LENGTH / EA, rel=3e-3)
     assert found.M_rel.value == pytest.approx(math.expm1(K) / K * LENGTH / EA, rel=0.02)
-    assert pytest.approx(found.K.value, rel=1e-4) == model.model().sheath.K
+    assert pytest.approx(found.K.value, rel=1e-4) == model.build_model().sheath.K
     assert model.axial_stiffness == pytest.approx(EA, rel=0.01)
     assert model.tension_noise == pytest.approx(noise, rel=0.1)
     assert model.displacement_noise < 2e-6
@@ -82,8 +82,8 @@ def test_on_an_uneven_sheath_the_loop_stands_and_what_the_papers_would_do_is_sai
     assert wrong > 0.2
     assert "bent unevenly" in found.remark
     assert f"T_out would be {wrong:.0%} too" in found.remark
-    assert pytest.approx(found.K.value, rel=1e-4) == model.model().sheath.K
-    assert len(model.model().sheath.sections) > 1
+    assert pytest.approx(found.K.value, rel=1e-4) == model.build_model().sheath.K
+    assert len(model.build_model().sheath.sections) > 1
 
 
 @pytest.mark.slow

@@ -63,7 +63,7 @@ def test_it_writes_a_file_of_its_rigs_name_that_fits_the_rig(done):
     assert (done / "figure.png").read_bytes().startswith(b"\x89PNG")
     config = SlaveConfig(rig=rig_config(SHORT, SHORT), calibration=done / "bench-calibration.yaml")
     assert find_not_ready_reason(config, open_rig(config.rig)) == ""
-    models = [tendon.model().sheath for tendon in load_tendon_configs(config, 4)]
+    models = [tendon.build_model().sheath for tendon in load_tendon_configs(config, 4)]
     assert [model.K for model in models] == pytest.approx([1, 1, 0.6, 0.6], abs=0.02)
 
 

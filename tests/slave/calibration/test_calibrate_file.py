@@ -122,7 +122,7 @@ def test_as_built_must_be_asked_for_and_is_for_simulated_rigs_alone(tmp_path):
     config = SlaveConfig(rig=SIMULATED, calibration="as-built")
     assert find_not_ready_reason(config, BENCH) == ""
     models = load_tendon_configs(config, 2)
-    assert [model.model().sheath.K for model in models] == pytest.approx([1.0, 1.0])
+    assert [model.build_model().sheath.K for model in models] == pytest.approx([1.0, 1.0])
     with pytest.raises(ValueError, match="as-built is only for simulated rigs"):
         SlaveConfig(rig=ReplayedRigConfig(file=tmp_path / "x.csv"), calibration="as-built")
 

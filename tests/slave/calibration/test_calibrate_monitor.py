@@ -45,7 +45,7 @@ class Use:
 
     def __init__(self, config, seconds, accepted=None, move=hand):
         models = load_tendon_configs(SlaveConfig(rig=accepted or config, calibration="as-built"), 2)
-        self.models = [model.model() for model in models]
+        self.models = [model.build_model() for model in models]
         prepared = [online.prepare(model) for model in self.models]
         constants = monitor.build_monitor_constants(self.models)
         states = [online.build_initial_state(p) for p in prepared]
@@ -109,7 +109,7 @@ def test_on_an_uneven_sheath_a_change_is_found_too_unless_all_bends_are_at_the_t
     at_tip = joint(1.0, sections=(SectionConfig(1.3), SectionConfig(0.2, 0.05)))
     model = load_tendon_configs(SlaveConfig(rig=rig_config(at_tip), calibration="as-built"), 2)[
         0
-    ].model()
+    ].build_model()
     assert monitor.build_monitor_constants([model])[0]["blind"]
     straight = replace(model, sheath=Sheath.uniform(0.0, 1.5, 9000.0))
     assert monitor.build_monitor_constants([straight])[0]["blind"]

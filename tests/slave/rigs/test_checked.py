@@ -35,7 +35,7 @@ class Pair:
 
     def advance(self): ...
 
-    def summary(self):
+    def summarise(self):
         return {}
 
     def close(self):
@@ -152,7 +152,7 @@ class Failing(FakeRig):
             raise RigFault("the amplifier has tripped")
         return super().read(time_s)
 
-    def summary(self):
+    def summarise(self):
         raise KeyError("temperature")
 
     def close(self):
@@ -162,14 +162,14 @@ class Failing(FakeRig):
 def test_what_fails_at_the_end_replaces_no_fault_and_no_summary(capsys):
     rig = CheckedRig(Failing(), "mylab")
     slave, _, _ = driven(rig)
-    summary = slave.summary()
+    summary = slave.summarise()
     assert str(slave.error) == "rig: the amplifier has tripped"
     assert json.loads(json.dumps(summary.to_json()["rig"]))["error"].startswith(
-        "mylab: summary fails: KeyE"
+        "mylab: summarise fails: KeyE"
     )
     rig.close()
     said = capsys.readouterr().err
-    assert "WARNING: mylab: summary fails: KeyError: 'temperature' (" in said
+    assert "WARNING: mylab: summarise fails: KeyError: 'temperature' (" in said
     assert "WARNING: mylab: close fails: OSError: no such device (" in said
     assert "check that its motors are without power" in said
 

@@ -217,7 +217,7 @@ def test_a_loop_goes_on_for_ever_with_time_that_increases(measured):
 
 
 def test_several_tendons_of_one_file(measured):
-    both = (Columns(), Columns.of_tendon(2))
+    both = (Columns(), Columns.from_tendon(2))
     rig = open_rig(ReplayedRigConfig(file=measured, tendons=both))
     (sample,) = rig.read(0.0)
     assert rig.tendons == 2
@@ -247,7 +247,7 @@ def test_a_mapping_beside_the_config_tells_columns_units_and_the_run(tmp_path):
     assert [read[9].time_s, read[9].proximal_tension[0]] == pytest.approx([0.18, 4.0])
     assert read[9].proximal_displacement[0] == pytest.approx(9e-3)
     played = open_rig(load(config, SlaveConfig, "slave").rig)
-    assert "time from t [ms]; proximal_tension from cell [2 N]" in played.summary()["read_as"]
+    assert "time from t [ms]; proximal_tension from cell [2 N]" in played.summarise()["read_as"]
     with pytest.raises(UsageError, match=r"has 2 runs.*slave\.rig\.run"):
         open_rig(ReplayedRigConfig(file=tmp_path / "pull.csv", mapping=tmp_path / "lab.yaml"))
     both = (Columns(proximal_displacement=None), Columns(proximal_tension="other"))

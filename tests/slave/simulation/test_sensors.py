@@ -67,5 +67,5 @@ def test_the_encoder_counts_lines_of_a_pulley():
     read = readings(truths, encoder=EncoderConfig())[:, 1]
     assert np.abs(read - [x for _, x in truths]).max() <= line / 2 * (1 + 1e-9)
     assert read / line == pytest.approx(np.round(read / line), abs=1e-9)
-    assert EncoderConfig(decoding=4).resolution(0.010) == pytest.approx(line / 4)
-    assert EncoderConfig(lines=0).resolution(0.010) == 0.0
+    assert EncoderConfig(decoding=4).compute_resolution(0.010) == pytest.approx(line / 4)
+    assert EncoderConfig(lines=0).compute_resolution(0.010) == 0.0

@@ -130,7 +130,7 @@ def test_the_page_has_exactly_the_keys_that_the_loader_allows_everywhere():
     seen = set()
     for section, build_tree in list_places(reference.Section("", (), SessionConfig), []):
         tree = build_tree({"no_such_key": 1})
-        overrides = tuple(Override.of(key, value) for key, value in tree.items())
+        overrides = tuple(Override.from_value(key, value) for key, value in tree.items())
         with pytest.raises(UsageError) as caught:
             ConfigDocument(overrides=overrides).load(SessionConfig)
         allowed = re.search(r"unknown key.*\(allowed: (.*)\)", str(caught.value))
@@ -169,7 +169,7 @@ def test_a_stated_range_is_the_one_that_is_enforced_everywhere():
             for beyond in (low - step, high + step, *[low] * allowed.startswith("above")):
                 value = int(beyond) if is_whole else beyond
                 tree = build_tree(ALSO.get(key.name, {}) | {key.name: value})
-                overrides = tuple(Override.of(top, inner) for top, inner in tree.items())
+                overrides = tuple(Override.from_value(top, inner) for top, inner in tree.items())
                 with pytest.raises(UsageError, match=rf"{key.name}.*(must be|allowed)"):
                     ConfigDocument(overrides=overrides).load(SessionConfig)
             checked.add((section.config, key.name))

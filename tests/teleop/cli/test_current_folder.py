@@ -20,10 +20,10 @@ import math
 import sys
 import teleop.cli.doctor
 from teleop import __main__
-from teleop.runtime.parallel import parallel_map
+from teleop.runtime.parallel import map_in_parallel
 
 def work(args):
-    print(list(parallel_map(math.sqrt, [4.0, 9.0], 2)))
+    print(list(map_in_parallel(math.sqrt, [4.0, 9.0], 2)))
     return 0
 
 if __name__ == "__main__":

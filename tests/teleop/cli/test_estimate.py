@@ -180,7 +180,7 @@ def test_of_several_tendons_one_is_estimated_and_named(pair, words, tendon, bend
     assert f"tendon    {tendon}" in capsys.readouterr().out
     error = summary["force_error"]
     assert error["rmse_N"] < 0.1  # data and model are of the same one
-    measured = read_table(data, Columns.of_tendon(1 + (tendon == "1b"))).distal_tension
+    measured = read_table(data, Columns.from_tendon(1 + (tendon == "1b"))).distal_tension
     assert error["full_scale_N"] == measured.max()
 
 

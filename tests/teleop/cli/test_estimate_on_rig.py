@@ -67,7 +67,7 @@ def record(rig, motion):
 
 def accepted(rig, belief):
     config = joint(rig)
-    model = to_tendon_config(config.tendons[0], config.body.pretension).model()
+    model = to_tendon_config(config.tendons[0], config.body.pretension).build_model()
     sheath = model.sheath
     if belief == "even bends":
         sheath = Sheath.uniform(sheath.K, sheath.length, sheath.axial_stiffness)

@@ -21,7 +21,8 @@ class OnRig:
         self._rig = SimulatedRig(config.rig)
         self.time, self.tip, self.wanted = 0.0, 0.0, None
         self.model = slave_loop.build_rig_model(
-            self._rig.joints, [t.model() for t in load_tendon_configs(config, self._rig.tendons)]
+            self._rig.joints,
+            [t.build_model() for t in load_tendon_configs(config, self._rig.tendons)],
         )
         self._last = self._rig.read(0.0)
 

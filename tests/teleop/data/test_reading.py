@@ -18,7 +18,7 @@ def test_columns_units_rate_and_what_is_missing_are_said(tmp_path):
     path.write_text(TEXT)
     options = ["time=t[ms]", "proximal_tension=F [kgf]", "proximal_displacement=q_mm"]
     table = read_table(path, parse_column_options(options).names, True, diagnosed=True)
-    reading = Reading.of(table).to_json()
+    reading = Reading.from_table(table).to_json()
     assert (reading["samples"], reading["dropped"], reading["gaps"]) == (46, 2, 3)
     assert reading["channels"]["proximal_displacement"]["factor"] == 1e-3
     assert format_reading(reading) == (
@@ -28,13 +28,13 @@ def test_columns_units_rate_and_what_is_missing_are_said(tmp_path):
         "overload: out of the range)"
     )
     plain = read_table(path, parse_column_options(options).names, diagnosed=True)
-    assert "1 proximal_displacement missing" in format_reading(Reading.of(plain).to_json())
+    assert "1 proximal_displacement missing" in format_reading(Reading.from_table(plain).to_json())
     assert format_readings([reading] * 9).endswith("\nread as: 3 files more, in the report")
 
 
 def test_a_plain_table_is_read_as_it_is(tmp_path):
     main(["simulate", "--out", str(tmp_path / "x.csv"), "--duration", "2"])
     table = read_table(tmp_path / "x.csv", mapping=TableMapping())
-    reading = Reading.of(table).to_json()
+    reading = Reading.from_table(table).to_json()
     assert format_reading(reading).startswith(f"{len(table.time)} samples, ")
     assert ";" not in format_reading(reading)

@@ -94,7 +94,7 @@ def test_a_recording_is_a_table(tmp_path):
     with RecordingWriter(RecordConfig(str(tmp_path)), "test", 10**18) as writer:
         writer.write(heard, 10**18)
     path = writer.path
-    first, second = read_tables(path, (Columns(), Columns.of_tendon(2)))
+    first, second = read_tables(path, (Columns(), Columns.from_tendon(2)))
     assert first.time == pytest.approx(0.1 * np.arange(10))
     assert first.proximal_tension.tolist() == expected.tolist()
     assert second.proximal_tension.tolist() == (2 * expected).tolist()

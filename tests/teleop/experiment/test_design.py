@@ -47,7 +47,7 @@ def test_participants_meet_all_combinations_in_balanced_orders():
 def test_constant_stimuli_come_in_random_blocks_of_all_levels():
     procedure, seen = ConstantStimuli((1.0, 2.0, 5.0), 40, seed=1), []
     while not procedure.is_done:
-        seen.append(procedure.next())
+        seen.append(procedure.choose_stimulus())
         procedure.record(True)
     blocks = np.reshape(seen, (40, 3))
     assert np.all(np.sort(blocks) == [1.0, 2.0, 5.0])
@@ -59,7 +59,7 @@ def test_a_staircase_converges_where_707_in_1000_answers_are_correct():
     staircase = Staircase(60.0, (0.5,), 0.0, 100.0, reversals=10**9, trials_max=20_000)
     chances = []
     while not staircase.is_done:
-        chance = float(compute_probability(staircase.next(), 40.0, 10.0, 0.5))
+        chance = float(compute_probability(staircase.choose_stimulus(), 40.0, 10.0, 0.5))
         chances.append(chance)
         staircase.record(rng.random() < chance)
     assert np.mean(chances[1000:]) == pytest.approx(0.5**0.5, abs=0.006)
@@ -69,7 +69,7 @@ def test_a_staircase_ends_by_its_reversals_within_its_bounds():
     staircase, seen = Staircase(5.0, (4.0, 2.0), 0.0, 10.0, reversals=4), []
     for correct in (True, True, False, True, True, True, True, False):
         assert not staircase.is_done
-        seen.append(staircase.next())
+        seen.append(staircase.choose_stimulus())
         staircase.record(correct)
     assert seen == [5.0, 5.0, 1.0, 3.0, 3.0, 1.0, 1.0, 0.0]
     staircase.record(True)
@@ -93,8 +93,10 @@ def test_the_chosen_stimulus_is_that_of_the_least_expected_entropy():
                 after, total = after / after.sum(), after.sum()
                 entropy -= total * (after * np.log(after)).sum()
             expected.append(entropy)
-        assert adaptive.next() == stimuli[int(np.argmin(expected))]
-        p = np.array([compute_probability(adaptive.next(), a, b, 0.5, 0.02) for a, b in cases])
+        assert adaptive.choose_stimulus() == stimuli[int(np.argmin(expected))]
+        p = np.array(
+            [compute_probability(adaptive.choose_stimulus(), a, b, 0.5, 0.02) for a, b in cases]
+        )
         posterior = posterior * (p if correct else 1.0 - p)
         posterior /= posterior.sum()
         adaptive.record(correct)
@@ -107,13 +109,13 @@ def test_the_same_answers_give_the_same_trials(procedure):
     rng, trials, answers = np.random.default_rng(5), [], []
     sequence = design.begin(3)
     while not sequence.is_done:
-        trials.append(sequence.next())
-        assert sequence.next() == trials[-1]
+        trials.append(sequence.choose_trial())
+        assert sequence.choose_trial() == trials[-1]
         answers.append(str(rng.integers(2) + 1))
         sequence.record(answers[-1])
     again = design.begin(3)
     for trial, answer in zip(trials, answers, strict=True):
-        assert again.next() == trial
+        assert again.choose_trial() == trial
         again.record(answer)
     assert again.is_done
     assert [trial.number for trial in trials] == list(range(1, len(trials) + 1))
@@ -124,7 +126,7 @@ def test_answers_are_judged_by_the_interval_that_had_the_stimulus():
     sequence = Design(procedure=ConstantStimuli((1.0,), 50), intervals=3).begin(1)
     targets = set()
     while not sequence.is_done:
-        target = sequence.next().target
+        target = sequence.choose_trial().target
         targets.add(target)
         assert sequence.judge(str(target % 3 + 1)) is False
         with pytest.raises(UsageError, match="allowed are 1, 2, 3"):

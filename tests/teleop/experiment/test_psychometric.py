@@ -31,7 +31,7 @@ def simulate(procedure, seed, spreads=(8.0, 25.0)):
     threshold, spread = rng.uniform(25, 65), rng.uniform(*spreads)
     stimuli, answers = [], []
     while not procedure.is_done:
-        stimuli.append(procedure.next())
+        stimuli.append(procedure.choose_stimulus())
         chance = compute_probability(stimuli[-1], threshold, spread, 0.5, 0.02)
         answers.append(bool(rng.random() < chance))
         procedure.record(answers[-1])
@@ -69,9 +69,9 @@ def test_many_answers_give_the_true_function():
     assert fit.spread == pytest.approx(12.0, rel=0.15)
     assert fit.lapse_rate == pytest.approx(0.03, abs=0.015)
     assert fit.deviance_p > 0.01
-    assert fit.probability(fit.stimulus_at(0.8)) == pytest.approx(0.8)
+    assert fit.compute_probability(fit.find_stimulus(0.8)) == pytest.approx(0.8)
     with pytest.raises(UsageError, match=r"must be above 0\.5"):
-        fit.stimulus_at(0.4)
+        fit.find_stimulus(0.4)
 
 
 def test_the_unit_of_the_stimulus_does_not_matter():

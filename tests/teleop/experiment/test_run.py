@@ -124,7 +124,7 @@ from teleop import ConstantStimuli, Design, KeyObserver
 
 design = Design(procedure=ConstantStimuli((0.0, 1.0), 2), intervals=2)
 input("name? ")
-print("answer", KeyObserver(design, "Which was stiffer?")(design.begin(1).next()))
+print("answer", KeyObserver(design, "Which was stiffer?")(design.begin(1).choose_trial()))
 print("echo", bool(termios.tcgetattr(0)[3] & termios.ECHO))
 """
 
@@ -174,7 +174,7 @@ def test_without_a_terminal_there_are_no_keys(monkeypatch):
         monkeypatch.setattr(sys, "stdin", stdin)
         design = Design(procedure=LEVELS)
         with pytest.raises(UsageError, match="no terminal"):
-            KeyObserver(design)(design.begin(1).next())
+            KeyObserver(design)(design.begin(1).choose_trial())
 
 
 def test_a_design_without_a_session_asks_for_each_condition(tmp_path):

@@ -189,7 +189,7 @@ class Network:
         self.shown.append(payload[CHALLENGE_BYTES + 8 :])
 
     def announce(self, token: Token, kind: Any = zenoh.SampleKind.PUT) -> None:
-        key = token.key("test")
+        key = token.to_key("test")
         ring = self.rings[f"{build_token_root('test')}/{token.group}/**"]
         ring.append(SimpleNamespace(key_expr=key, kind=kind))
 

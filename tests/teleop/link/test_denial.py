@@ -75,7 +75,7 @@ class Door:
     def dropped(self) -> int:
         """Number of messages that were counted and not let in."""
         counts = self._latest.counts
-        return counts.rejected + counts.unknown + self._listener.refused(STOP)
+        return counts.rejected + counts.unknown + self._listener.count_refused(STOP)
 
 
 def mutated(frame: bytes, chance: random.Random) -> Iterator[bytes]:
@@ -167,7 +167,7 @@ def test_a_flood_is_looked_at_no_more_than_the_limit_allows() -> None:
         store(Sample(data, bytes(ENTRY_BYTES)))
     allowed = VERIFY_BURST + (now_ns() - begin) * 1e-9 * 500 + 1
     assert VERIFY_BURST <= len(looked) <= allowed
-    assert listener.refused(STOP) == 5 * VERIFY_BURST
+    assert listener.count_refused(STOP) == 5 * VERIFY_BURST
 
 
 def test_a_rate_limit_refills_with_time() -> None:

@@ -71,7 +71,7 @@ def test_what_is_put_is_taken_in_order_or_counted_as_dropped(
             assert [a.data for a in arrivals if a.topic is topic] == newest
             taken[name] += len(newest)
             assert put[name] == taken[name] + dropped[name]
-            assert dropped[name] == queue.dropped(topic)
+            assert dropped[name] == queue.count_dropped(topic)
             model[name] = []
 
 
@@ -94,7 +94,7 @@ def test_counts_are_exact_with_several_threads_putting_while_one_takes() -> None
     for arrival in queue.take()[0]:
         taken[arrival.topic.name] += 1
     for topic in (COMMAND, EVENT):
-        assert taken[topic.name] + queue.dropped(topic) == count * threads // 2
+        assert taken[topic.name] + queue.count_dropped(topic) == count * threads // 2
 
 
 def test_every_topic_has_room_for_a_slow_reader() -> None:
@@ -125,8 +125,8 @@ def test_memory_is_bounded_by_messages_of_the_size_of_the_topic_whatever_is_sent
     tracemalloc.stop()
     assert grown < compute_capacity(STOP) * (STOP.message.schema.size + 400)
     assert listener.drain() == []
-    assert listener.counts(STOP) == MessageCounts(layout=compute_capacity(STOP))
-    assert listener.dropped(STOP) == compute_capacity(STOP)
+    assert listener.count_messages(STOP) == MessageCounts(layout=compute_capacity(STOP))
+    assert listener.count_dropped(STOP) == compute_capacity(STOP)
 
 
 # --- the listener ---------------------------------------------------------------------------------
@@ -144,11 +144,13 @@ def test_a_listener_that_falls_behind_keeps_the_newest_and_counts_the_others() -
     kept = list(range(last - CAPACITY_MIN + 1, last + 1))
     assert [h.sequence for h in listener.drain()] == kept
     dropped = last - 1 - CAPACITY_MIN
-    assert listener.dropped(topic) == dropped
-    assert listener.counts(topic) == MessageCounts(received=1 + CAPACITY_MIN, overwritten=dropped)
+    assert listener.count_dropped(topic) == dropped
+    assert listener.count_messages(topic) == MessageCounts(
+        received=1 + CAPACITY_MIN, overwritten=dropped
+    )
     store(packed(last + 3))
     listener.drain()
-    assert listener.counts(topic).lost == 2  # on the wire, as nothing was dropped since
+    assert listener.count_messages(topic).lost == 2  # on the wire, as nothing was dropped since
 
 
 @patch.object(listener, "CAPACITY_MIN", 8)
@@ -169,9 +171,9 @@ def test_every_message_stored_is_heard_rejected_or_dropped(
             store(data[:-1] if chance.random() < 0.1 else data)
             stored += 1
         heard += len(listener.drain())
-    counts = listener.counts(topic)
+    counts = listener.count_messages(topic)
     assert heard == counts.received
-    assert stored == counts.received + counts.rejected + listener.dropped(topic)
+    assert stored == counts.received + counts.rejected + listener.count_dropped(topic)
 
 
 def test_senders_without_end_take_no_memory_and_are_all_counted() -> None:
@@ -200,5 +202,5 @@ def test_a_sender_that_goes_on_is_not_forgotten_for_a_flood_of_others() -> None:
         store(message.pack(1000 + k, 1, 0))
         store(message.pack(7, 2 * k, 0))
         assert len(listener.drain()) == 2
-    counts = listener.counts(STOP)
+    counts = listener.count_messages(STOP)
     assert (counts.repeated, counts.lost) == (999, 998)

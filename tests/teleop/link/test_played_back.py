@@ -36,7 +36,7 @@ def recorded(role: Role, nonce: int, relayed: bool = False) -> str:
     """The genuine token of a process of an earlier run."""
     handshake = Handshake(create_local_credentials("test", CERTIFICATE_ROLES[role]), "test", nonce)
     token = handshake.prove(Token(role, LAYOUT, nonce, RoleStage.HELD))
-    return token.key("test").replace("/@/", "/@/relay/") if relayed else token.key("test")
+    return token.to_key("test").replace("/@/", "/@/relay/") if relayed else token.to_key("test")
 
 
 def rogue_of(config: LinkConfig, count: int) -> Rogue:

@@ -157,7 +157,7 @@ def test_stops_resets_and_settings_need_a_supervisor(
         def refused() -> bool:
             for listen in requests.values():
                 assert listen(0) == ((0, "", False, ()))
-            return all(listen.refused()["stop"] == 12 for listen in requests.values())
+            return all(listen.count_refused()["stop"] == 12 for listen in requests.values())
 
         wait_until(refused)
     with Link(config, "test", Role.REMOTE) as remote:
@@ -185,7 +185,7 @@ def test_a_viewer_is_heard_by_nobody(pair: tuple[Link, Link], config: LinkConfig
         time.sleep(0.3)
         counts = slave.take_latest(COMMAND).counts
         assert (counts.received, counts.rejected, counts.unknown) == (before, 0, 0)
-        assert all(listen.refused()["stop"] == 0 for listen in requests.values())
+        assert all(listen.count_refused()["stop"] == 0 for listen in requests.values())
         assert {token.role for token in slave._roster.others} == {Role.MASTER}
         goes_on(slave, master)
 
@@ -227,6 +227,6 @@ def test_a_lost_number_is_not_taken_by_somebody_else(
         master._token.__class__(Role.MASTER, LAYOUT, master.nonce, master._token.stage)
     )
     with rogue_of(config, CertificateRole.ROUTER) as rogue:
-        rogue.announce_key(twin._token.key("test"))
+        rogue.announce_key(twin._token.to_key("test"))
         await_refusals(slave.refusals, "takes the number")
         goes_on(slave, master)

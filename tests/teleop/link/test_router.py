@@ -68,12 +68,12 @@ def test_nothing_crosses_from_one_session_to_another() -> None:
             wait_until(heard_reports)
             assert {item.sender for item in messages} <= nonces[name]
             for topic in TOPICS:
-                counts = ear.counts(topic)
+                counts = ear.count_messages(topic)
                 assert counts.rejected + counts.unknown == 0
             for link in (slave, master):
                 others = {token.nonce for token in link._roster.others if token.role in (1, 2)}
                 assert others <= nonces[name]
-                assert link.counts().rejected + link.counts().unknown == 0
+                assert link.count_messages().rejected + link.count_messages().unknown == 0
 
 
 @pytest.mark.usefixtures("true_settling")

@@ -52,7 +52,9 @@ def test_messages_cross_whole_and_in_order(config: LinkConfig) -> None:
         assert state.echo_stamp_ns == sent[state.joints]
 
         heard: list[Any] = []
-        wait_until(lambda: heard.extend(listener.drain()) or listener.counts(REPORT).received == 2)
+        wait_until(
+            lambda: heard.extend(listener.drain()) or listener.count_messages(REPORT).received == 2
+        )
         assert {h.sender for h in heard if h.topic == REPORT} == {master.nonce, slave.nonce}
         commands = [h for h in heard if h.topic == COMMAND]
         assert len(commands) > 25
@@ -62,7 +64,7 @@ def test_messages_cross_whole_and_in_order(config: LinkConfig) -> None:
             assert h.stamp_ns == sent[h.sequence - 1]
             assert h.sender == master.nonce
             assert h.received_ns >= h.stamp_ns - MS
-        counts = listener.counts(COMMAND)
+        counts = listener.count_messages(COMMAND)
         first, last = commands[0].sequence, commands[-1].sequence
         assert counts == MessageCounts(
             received=len(commands), lost=last - first + 1 - len(commands)
@@ -139,13 +141,13 @@ def test_a_viewer_gets_copies_of_fast_topics_and_calls_the_rest_not_lost(
 
         def received(topic: Topic[Any]) -> int:
             listener.drain()
-            return listener.counts(topic).received
+            return listener.count_messages(topic).received
 
         wait_until(lambda: received(COMMAND) == 200)  # not sampled
         wait_until(lambda: received(HAND) == composed)
         assert 20 <= composed <= 100.0 * passed_s + 2
-        assert listener.counts(HAND).lost == 0
-        assert listener.counts(HAND).overwritten >= 200 - composed - 10
+        assert listener.count_messages(HAND).lost == 0
+        assert listener.count_messages(HAND).overwritten >= 200 - composed - 10
 
 
 def test_copies_come_at_their_rate_though_all_messages_are_sent(config: LinkConfig) -> None:

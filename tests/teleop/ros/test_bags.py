@@ -148,7 +148,7 @@ def test_the_metadata_are_those_of_the_messages(bag, recording, tmp_path):
 
 
 def test_our_bag_is_measured_data_like_the_recording(bag, recording):
-    first, second = Columns(), Columns.of_tendon(2)
+    first, second = Columns(), Columns.from_tendon(2)
     ours, theirs = (read_tables(path, (first, second)) for path in (bag, recording))
     for one, other in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(one.time, other.time, atol=1e-9)

@@ -42,7 +42,7 @@ class SpringRig:
 
     def advance(self) -> None: ...
 
-    def summary(self) -> dict[str, float]:
+    def summarise(self) -> dict[str, float]:
         return {"stiffness_N_per_m": self._stiffness}
 
     def close(self) -> None: ...

@@ -51,7 +51,7 @@ def files(tmp_path_factory):
     record = arms.make(SHAPE, change, seed=5, duration=12.0)
     columns = {"time_s": record.time}
     for k in range(4):
-        names = Columns.of_tendon(k + 1)
+        names = Columns.from_tendon(k + 1)
         columns[names.proximal_tension] = record.proximal_tension[:, k]
         columns[names.proximal_displacement] = record.proximal_displacement[:, k]
         columns[format_numbered_name(ANCHOR_TENSION, k + 1)] = record.anchor_tension[:, k]
@@ -92,7 +92,7 @@ def test_a_recording_is_diagnosed_with_the_arm_of_its_own_config(tmp_path, capsy
     scale = MotionScale(stroke=0.006, period=3.0)
     config = arms.describe_rig(SHAPE, arms.Change(), seed=3)
     run_ = simulate(config, "sine", duration=16.0, rate=100.0, scale=scale, keep=2.0)
-    columns = run_.columns()
+    columns = run_.to_columns()
     travel = 0.005 * columns["joint_angle_2_rad"] - 0.004 * columns["joint_angle_1_rad"]
     assert columns["distal_displacement_3_m"] == pytest.approx(travel, abs=1e-9)
     assert columns["anchor_tension_3_N"].max() != columns["distal_tension_3_N"].max()

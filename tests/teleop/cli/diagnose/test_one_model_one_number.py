@@ -85,7 +85,7 @@ def played(data, model, *, drop_nonfinite=False):
     """Return the error of a session whose rig plays the data."""
     rig = open_rig(ReplayedRigConfig(file=data, drop_nonfinite=drop_nonfinite))
     (tendon,) = model_files.apply_model_files([None], (), {"": model})
-    models = [model_files.set_noise_from_data(tendon, *rig.housing[0]).model()]
+    models = [model_files.set_noise_from_data(tendon, *rig.housing[0]).build_model()]
     slave = loop.init_slave(
         loop.build_rig_model(rig.joints, models),
         SlaveConfig(rig=ReplayedRigConfig(file=data)),
