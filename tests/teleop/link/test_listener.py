@@ -191,7 +191,7 @@ def test_senders_without_end_take_no_memory_and_are_all_counted() -> None:
     before, after = flood(range(1, 2001)), flood(range(2001, 6001))
     tracemalloc.stop()
     assert after - before < 100_000
-    assert listener.counts(STOP) == MessageCounts(received=6000)
+    assert listener.count_messages(STOP) == MessageCounts(received=6000)
 
 
 def test_a_sender_that_goes_on_is_not_forgotten_for_a_flood_of_others() -> None:

@@ -159,7 +159,7 @@ def test_copies_come_at_their_rate_though_all_messages_are_sent(config: LinkConf
 
         def received(listener: Listener) -> int:
             listener.drain()
-            return listener.counts(COMMAND).received
+            return listener.count_messages(COMMAND).received
 
         def both_hear() -> bool:
             master.publish(COMMAND, Command())
