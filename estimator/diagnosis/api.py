@@ -16,7 +16,13 @@ from estimator.diagnosis.baseline import (
     select_applicable_effects,
 )
 from estimator.diagnosis.bench_units import compute_bench_scale, to_bench_units, to_record_units
-from estimator.diagnosis.causes import FINAL_ROUNDS, RESTART_PROGRESS, find_causes, rank_candidates
+from estimator.diagnosis.causes import (
+    FINAL_ROUNDS,
+    RESTART_PROGRESS,
+    CauseSearch,
+    find_causes,
+    rank_candidates,
+)
 from estimator.diagnosis.curve import estimate_curve
 from estimator.diagnosis.dataset import (
     BaseLaw,
@@ -25,6 +31,7 @@ from estimator.diagnosis.dataset import (
     build_contexts,
     build_dataset,
     compute_mean_noise,
+    read_work_clock,
     rescale_residuals,
     use_all_samples,
 )
@@ -129,8 +136,8 @@ def diagnose(
         Further columns of the data (`extra`), such as a temperature, that something may depend on;
         those that functions among `effects` name are added.
     time_limit : float
-        [s] of the processor for each record, after which no further search for a cause begins;
-        `Diagnosis.untried` says which.
+        [s] for each record, after which no further search for a cause begins; `Diagnosis.untried`
+        says which. Counted by simulated samples (`dataset.read_work_clock`), not by a clock.
     progress : callable
         Called with what is being done and which share of it (0 to 1) is.
     workers : int
@@ -334,7 +341,7 @@ def diagnose_records(
     leave_one_file_out : bool
         Also predict each record by what the others give.
     time_limit : float
-        [s] of the processor for each record, after which no further search begins.
+        [s] for each record, by simulated samples, after which no further search begins.
     report : callable
         Told what is being done and which share of it is.
     workers : int
@@ -377,10 +384,9 @@ def diagnose_records(
     laws = [law]
     if law.dataset.base.law is not dataset.base.law and not records[0].loop:
         laws.append(law._replace(dataset=dataset, fit=base_fit))
-    budget = TimeBudget(time_limit * len(records))
-    result, law = find_causes(
-        laws, effects, fit_all=fit_all, report=report, workers=workers, budget=budget
-    )
+    budget = TimeBudget(time_limit * len(records), read_work_clock)
+    search = CauseSearch(effects, budget, report, workers)
+    result, law = find_causes(laws, search, fit_all=fit_all)
     report("fitting again and testing", RESTART_PROGRESS)
     dataset, base_fit, steps, fit = result.dataset, result.base_fit, result.steps, result.fit
     applicable = select_applicable_effects(effects, records[0], dataset.base)

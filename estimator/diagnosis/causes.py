@@ -1,6 +1,5 @@
 """Stepwise search for causes, restarted from another first cause and on another base law."""
 
-import itertools
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -42,6 +41,7 @@ from estimator.diagnosis.settings import (
     SETTINGS,
     ProgressCallback,
     TimeBudget,
+    ignore_progress,
     scale_progress,
 )
 from estimator.effects import NAMES
@@ -49,12 +49,14 @@ from estimator.effects.effect import Effect, EffectContext
 from estimator.effects.functions import build_functions
 
 FINAL_ROUNDS = 12  # rounds of the fit to all samples
-# shares of the time between which each search for a cause runs
-SEARCH_PROGRESS = 0.1, 0.4, 0.55, 0.65
+# shares of the time in which each cause of a stepwise search is looked for
+SEARCH_ROUNDS = (0.1, 0.4), (0.4, 0.55), (0.55, 0.65)
+FUNCTION_PROGRESS = SEARCH_ROUNDS[-1][1], 0.775  # the same of a free function
+RESTART_PROGRESS = 0.9  # share of the time at which the search from another first cause ends
+RESTART_ROUNDS = (0.0, 0.5), (0.5, 1.0)  # shares of that search in which further causes are
 SAME_COST_TOLERANCE = 0.01  # relative: effects whose costs differ by less do the same
 RESIDUAL_FRACTION_MAX = 0.5  # share of the error beyond noise that hidden motion may leave
 FUNCTION_SEARCHES = 1  # that further causes leave time for: a function says more
-RESTART_PROGRESS = 0.9  # share of the time at which the search from another cause ends
 
 # --- the next cause, and its rivals
 
@@ -204,6 +206,19 @@ def score_effect(dataset: Dataset, fit: Fit, fit_without: Fit, effect: Effect) -
 # --- the search
 
 
+class CauseSearch(NamedTuple):
+    """What a search for causes may try, and how."""
+
+    effects: Sequence[Effect]
+    budget: TimeBudget  # no stage begins that it has no time for
+    report: ProgressCallback = ignore_progress
+    workers: int = 1
+
+    def report_between(self, begin: float, end: float) -> "CauseSearch":
+        """Return the same search as a part of this one, from share `begin` of its time to `end`."""
+        return self._replace(report=scale_progress(self.report, begin, end))
+
+
 class CauseSearchResult(NamedTuple):
     """The causes, and the data and fits of the search."""
 
@@ -214,128 +229,91 @@ class CauseSearchResult(NamedTuple):
     steps: list[CauseStep]
     fit: Fit  # of the base law with the causes
 
+    def add_step(self, step: CauseStep) -> "CauseSearchResult":
+        """Return the result with one cause more."""
+        return self._replace(steps=[*self.steps, step], fit=step.fit)
+
 
 def find_causes(
-    laws: Sequence[Choice],
-    effects: Sequence[Effect],
-    *,
-    fit_all: bool,
-    report: ProgressCallback,
-    workers: int,
-    budget: TimeBudget,
+    laws: Sequence[Choice], search: CauseSearch, *, fit_all: bool
 ) -> tuple[CauseSearchResult, Choice]:
     """Return the causes of the residual of a base law, and the base law.
 
     Each stage runs while a residual beyond noise remains, and stands if it explains more; after
-    the first, none if the data are of no tendon:
-
-    1. A stepwise search on top of each law in turn. The best law may have been chosen because it
-       imitates a cause; that with which most is explained is returned.
-    2. The same with the hidden motion that a cause had masked.
-    3. One with causes in the one file that differs from the others, if there is such a file.
-    4. A search for a free function, unless what causes leave is no more than model error.
-    5. A stepwise search from another first cause, unless that function explains nearly all.
-
-    None begins that `budget` has no time for.
+    the first, none if the data are of no tendon. What no named cause explains is searched for a
+    free function, and unless that explains nearly all, from another first cause.
     """
-    attempts: list[tuple[CauseSearchResult, Choice]] = []
-    for law in laws:
-        if attempts and not budget.has_time("another base law", FUNCTION_SEARCHES):
-            break
-        loads = choose_loads(law.dataset, law.fit)
-        dataset, base_fit = loads.dataset, loads.fit
-        if not fit_all and _is_brief(dataset, base_fit):
-            dataset = replace_records(
-                dataset, [shorten_blocks(record) for record in dataset.records]
-            )
-            base_fit = refit_baseline(dataset, base_fit)
-        # with the weights that the candidates will have
-        base_fit = refit_baseline(rescale_residuals(dataset, base_fit), base_fit)
-        attempts.append(
-            (_find_causes_stepwise(loads, dataset, base_fit, effects, report, workers, budget), law)
-        )
-        if _is_explained(attempts[-1][0]):
-            break
-    result, law = max(attempts, key=lambda attempt: _compute_evidence(attempt[0], attempts[0][0]))
+    result, law = _search_on_each_law(laws, search, fit_all)
     if _is_foreign(result):
         return result, law
-    if (
-        not _is_explained(result)
-        and (recovered := _recover_motion_beside_cause(result)) is not None
-        and budget.has_time("motion that a cause hides")
-    ):
-        result = _find_causes_stepwise(result.loads, *recovered, effects, report, workers, budget)
-    bench = result.dataset, result.base_fit
-    if (
-        not _is_explained(result)
-        and (file := find_odd_file(*bench, result.fit))
-        and budget.has_time("a cause in one file")
-    ):
-        candidates = [*confine_effects(effects, file), *(effects if result.steps else ())]
-        file_result = _find_causes_stepwise(
-            result.loads, *bench, candidates, report, workers, budget
-        )
-        result = max(
-            file_result, result, key=lambda candidate: _compute_evidence(candidate, result)
-        )
-    if not _is_explained(result):
-        middle = 0.5 * (SEARCH_PROGRESS[-1] + RESTART_PROGRESS)
-        # what named causes leave of model error, a curve would follow; alone, any periodic record
-        is_exhausted = result.steps and _is_exhausted(result.dataset, result.fit, result.base_fit)
-        is_open = not is_exhausted and _has_law(result)
-        function_report = scale_progress(report, SEARCH_PROGRESS[-1], middle)
-        function_result = (
-            _find_function(result, effects, function_report, workers, budget) if is_open else None
-        )
-        if (
-            function_result is None
-            or _compute_fraction(function_result) > SETTINGS.uncertain_fraction_max
-        ):
-            restart_report = scale_progress(report, middle, RESTART_PROGRESS)
-            result = _restart_from_other_cause(result, effects, restart_report, workers, budget)
-        if function_result is not None and _is_function_better(function_result, result):
-            result = function_result
+    result = _search_with_recovered_motion(result, search)
+    result = _search_in_odd_file(result, search)
+    if _is_explained(result):
+        return result, law
+    with_function = _find_function(result, search.report_between(*FUNCTION_PROGRESS))
+    if with_function is None or _compute_fraction(with_function) > SETTINGS.uncertain_fraction_max:
+        restart = search.report_between(FUNCTION_PROGRESS[1], RESTART_PROGRESS)
+        result = _restart_from_other_cause(result, restart)
+    if with_function is not None and _is_function_better(with_function, result):
+        result = with_function
     return result, law
 
 
-def _find_function(
-    result: CauseSearchResult,
-    effects: Sequence[Effect],
-    report: ProgressCallback,
-    workers: int,
-    budget: TimeBudget,
-) -> CauseSearchResult | None:
-    """Return the free function that explains most, on the base law or beside the named causes."""
-    columns = result.dataset.records[0].variables
-    is_complete = set(NAMES) <= {effect.name for effect in effects}
-    functions = [effect for effect in effects if effect.function is not None]
-    functions = list(build_functions(columns)) if is_complete else functions
-    best: CauseSearchResult | None = None
-    starts = [([], result.base_fit), *([(result.steps, result.fit)] if result.steps else [])]
-    for steps, fit in starts if functions else ():
-        place = f" beside {steps[0].effect.name}" if steps else ""
-        if not budget.has_time(f"free functions{place}"):
+# --- on each law, with hidden motion, in one file
+
+
+def _search_on_each_law(
+    laws: Sequence[Choice], search: CauseSearch, fit_all: bool
+) -> tuple[CauseSearchResult, Choice]:
+    """Return the causes found on the law with which most is explained, and that law.
+
+    The best law may have been chosen because it imitates a cause.
+    """
+    attempts: list[tuple[CauseSearchResult, Choice]] = []
+    for law in laws:
+        if attempts and not search.budget.has_time("another base law", FUNCTION_SEARCHES):
             break
-        candidates = fit_functions(result.dataset, fit, functions, report, workers)
-        step = find_next_cause(result.dataset, result.base_fit, fit, candidates)
-        if step is not None:
-            found = result._replace(steps=[*steps, step], fit=step.fit)
-            if best is None or _compute_evidence(found, best) > SETTINGS.score_min:
-                best = found
-        if best is not None and _is_explained(best):
-            break  # beside a named cause it could only follow noise
-    return best
+        attempts.append((_search_on_law(law, search, fit_all), law))
+        if _is_explained(attempts[-1][0]):
+            break
+    return max(attempts, key=lambda attempt: _compute_evidence(attempt[0], attempts[0][0]))
 
 
-def _is_function_better(function_result: CauseSearchResult, named: CauseSearchResult) -> bool:
-    """Return whether a free function explains what named causes do not; as good, they are named."""
-    if _is_explained(named):
-        return False
-    errors = (compute_errors(named.dataset, fit) for fit in (function_result.fit, named.fit))
-    if compute_residual_fraction(*errors) < SETTINGS.free_function_fraction:
-        return True
-    is_open = not named.steps or _compute_fraction(named) > SETTINGS.unexplained_fraction_max
-    return is_open and _compute_evidence(function_result, named) > 0.0
+def _search_on_law(law: Choice, search: CauseSearch, fit_all: bool) -> CauseSearchResult:
+    """Return the causes found on a law, with the loads at the tip that suit it best."""
+    loads = choose_loads(law.dataset, law.fit)
+    dataset, base_fit = loads.dataset, loads.fit
+    if not fit_all and has_localised_misfit(dataset, base_fit):
+        dataset = replace_records(dataset, [shorten_blocks(record) for record in dataset.records])
+        base_fit = refit_baseline(dataset, base_fit)
+    # with the weights that the candidates will have
+    base_fit = refit_baseline(rescale_residuals(dataset, base_fit), base_fit)
+    return _find_causes_stepwise(loads, dataset, base_fit, search)
+
+
+def _search_with_recovered_motion(
+    result: CauseSearchResult, search: CauseSearch
+) -> CauseSearchResult:
+    """Return the causes found with the hidden motion that a cause had masked, if there is any."""
+    if _is_explained(result) or (recovered := _recover_motion_beside_cause(result)) is None:
+        return result
+    if not search.budget.has_time("motion that a cause hides"):
+        return result
+    return _find_causes_stepwise(result.loads, *recovered, search)
+
+
+def _search_in_odd_file(result: CauseSearchResult, search: CauseSearch) -> CauseSearchResult:
+    """Return the causes found in the one file that differs from the others, if there is one."""
+    if _is_explained(result):
+        return result
+    file = find_odd_file(result.dataset, result.base_fit, result.fit)
+    if not file or not search.budget.has_time("a cause in one file"):
+        return result
+    effects = [*confine_effects(search.effects, file), *(search.effects if result.steps else ())]
+    in_file = _find_causes_stepwise(
+        result.loads, result.dataset, result.base_fit, search._replace(effects=effects)
+    )
+    return in_file if _compute_evidence(in_file, result) >= 0.0 else result
 
 
 def _recover_motion_beside_cause(result: CauseSearchResult) -> tuple[Dataset, Fit] | None:
@@ -374,6 +352,194 @@ def _recover_motion_beside_cause(result: CauseSearchResult) -> tuple[Dataset, Fi
     ):
         return None
     return rescale_residuals(moved_dataset, base_fit), base_fit
+
+
+# --- causes one after the other, or two at once
+
+
+def _find_causes_stepwise(
+    loads: Choice, dataset: Dataset, base_fit: Fit, search: CauseSearch
+) -> CauseSearchResult:
+    """Return the causes of the residual of the base law, searched one after the other."""
+    result = CauseSearchResult(loads, dataset, base_fit, [], [], base_fit)
+    for begin, end in SEARCH_ROUNDS:
+        if _is_explained(result) or (result.steps and _is_within_model_error(result)):
+            break
+        if result.first_candidates and not search.budget.has_time(
+            "further causes", FUNCTION_SEARCHES
+        ):
+            break
+        candidates = _fit_next_candidates(result, search.report_between(begin, end))
+        with_candidates = result._replace(first_candidates=result.first_candidates or candidates)
+        base_errors = compute_errors(dataset, result.base_fit)
+        if are_not_tendon_data(dataset, (base_errors, *_get_errors(candidates))):
+            result = with_candidates
+            break
+        step = find_next_cause(dataset, result.base_fit, result.fit, candidates)
+        if step is not None and not result.steps:
+            fit_without = refit_without_effect(dataset, step.fit, step.effect)
+            if score_effect(dataset, step.fit, fit_without, step.effect) < SETTINGS.score_min:
+                # the previous fit was a local minimum
+                result = result._replace(base_fit=fit_without, fit=fit_without)
+                continue
+        result = with_candidates
+        if step is None:
+            if search.budget.has_time("pairs of causes", FUNCTION_SEARCHES):
+                pair_search = search.report_between(end, SEARCH_ROUNDS[-1][1])
+                for step in _find_cause_pair(result, candidates, pair_search):
+                    result = result.add_step(step)
+            break
+        result = result.add_step(step)
+    return _prune_result(result)
+
+
+def _fit_next_candidates(result: CauseSearchResult, search: CauseSearch) -> list[Candidate]:
+    """Return the models with one cause more, fitted, the lowest cost first."""
+    dataset, fit = result.dataset, result.fit
+    applicable = select_applicable_effects(search.effects, dataset.records[0], dataset.base)
+    untried = [effect for effect in applicable if effect.name not in fit.names]
+    return fit_candidates(dataset, fit, untried, search.report, search.workers)
+
+
+def _prune_result(result: CauseSearchResult) -> CauseSearchResult:
+    steps, fit = prune_causes(result.dataset, result.base_fit, result.steps, result.fit)
+    return result._replace(steps=steps, fit=fit)
+
+
+def _find_cause_pair(
+    result: CauseSearchResult, candidates: list[Candidate], search: CauseSearch
+) -> list[CauseStep]:
+    """Return two causes, neither significant alone, if together they leave only noise.
+
+    The first of the two may increase the error of a channel of little noise while it removes most
+    of another's. It must fit far better than any other, as this is the only evidence for it yet.
+    """
+    dataset, base_fit = result.dataset, result.base_fit
+    by_cost = sorted(candidates, key=lambda candidate: candidate.cost)
+    other_costs = [
+        candidate.cost for candidate in by_cost if candidate.effect.name != by_cost[0].effect.name
+    ]
+    if not other_costs or by_cost[0].cost * SETTINGS.lead_cost_ratio > min(other_costs):
+        return []
+    lead = by_cost[0]
+    ranking = rank_candidates(dataset, base_fit, result.fit, candidates)
+    lead_step = CauseStep(lead.effect, (), ranking, lead.fit)
+    second_candidates = _fit_next_candidates(result.add_step(lead_step), search)
+    second_step = find_next_cause(dataset, base_fit, lead.fit, second_candidates)
+    if second_step is None or not is_within_tolerance(
+        dataset, compute_errors(dataset, second_step.fit), SETTINGS.tolerance_ratio_max
+    ):
+        return []
+    return [lead_step, second_step]
+
+
+# --- from another first cause
+
+
+def _restart_from_other_cause(result: CauseSearchResult, search: CauseSearch) -> CauseSearchResult:
+    """Return the result of a search from another first cause if it is better, else `result`."""
+    dataset, base_fit = result.dataset, result.base_fit
+    if (other := _choose_other_first_cause(result)) is None:
+        return result
+    ranking = rank_candidates(dataset, base_fit, base_fit, result.first_candidates)
+    first_step = CauseStep(other.effect, (), ranking, other.fit)
+    restarted = result._replace(steps=[]).add_step(first_step)
+    for begin, end in RESTART_ROUNDS:
+        if _is_explained(restarted) or _is_within_model_error(restarted):
+            break
+        if not search.budget.has_time("other first causes"):
+            break
+        candidates = _fit_next_candidates(restarted, search.report_between(begin, end))
+        step = find_next_cause(dataset, base_fit, restarted.fit, candidates)
+        if step is None:
+            break
+        restarted = restarted.add_step(step)
+    restarted = _prune_result(restarted)
+    # see `_find_cause_pair`
+    is_accepted = result.steps or is_within_tolerance(
+        dataset, compute_errors(dataset, restarted.fit), SETTINGS.tolerance_ratio_max
+    )
+    is_better = len(restarted.steps) > 1 and is_accepted
+    return restarted if is_better and _compute_evidence(restarted, result) > 0.0 else result
+
+
+def _choose_other_first_cause(result: CauseSearchResult) -> Candidate | None:
+    """Return the candidate that explains most beside the first cause; None if there is no other.
+
+    The effect that explains most by itself need not be among those that together explain all:
+    plays of many thresholds imitate the gain of a load cell, badly.
+    """
+    names = {step.effect.name for step in result.steps[:1]}
+    first = min(
+        (
+            candidate
+            for candidate in result.first_candidates
+            if candidate.effect.name in names or not names
+        ),
+        key=lambda candidate: candidate.cost,
+        default=None,
+    )
+    alternatives = [
+        candidate
+        for candidate in result.first_candidates
+        if first is not None
+        and candidate.effect.name != first.effect.name
+        and abs(candidate.cost / first.cost - 1.0) > SAME_COST_TOLERANCE
+    ]
+    base_errors = compute_errors(result.dataset, result.base_fit)
+    return max(
+        alternatives,
+        key=lambda candidate: score_candidate(result.dataset, base_errors, candidate),
+        default=None,
+    )
+
+
+# --- a free function
+
+
+def _find_function(result: CauseSearchResult, search: CauseSearch) -> CauseSearchResult | None:
+    """Return the free function that explains most, on the base law or beside the named causes.
+
+    None where it could only follow what the model itself is off: beside causes that leave no more
+    than that, or on a law that makes hardly anything of the data, as of any periodic record.
+    """
+    if (result.steps and _is_within_model_error(result)) or not _has_law(result):
+        return None
+    columns = result.dataset.records[0].variables
+    is_complete = set(NAMES) <= {effect.name for effect in search.effects}
+    functions = [effect for effect in search.effects if effect.function is not None]
+    functions = list(build_functions(columns)) if is_complete else functions
+    best: CauseSearchResult | None = None
+    base = result._replace(steps=[], fit=result.base_fit)
+    for start in (base, *([result] if result.steps else [])) if functions else ():
+        place = f" beside {start.steps[0].effect.name}" if start.steps else ""
+        if not search.budget.has_time(f"free functions{place}"):
+            break
+        candidates = fit_functions(
+            start.dataset, start.fit, functions, search.report, search.workers
+        )
+        step = find_next_cause(start.dataset, start.base_fit, start.fit, candidates)
+        if step is not None:
+            extended = start.add_step(step)
+            if best is None or _compute_evidence(extended, best) > SETTINGS.score_min:
+                best = extended
+        if best is not None and _is_explained(best):
+            break  # beside a named cause it could only follow noise
+    return best
+
+
+def _is_function_better(with_function: CauseSearchResult, named: CauseSearchResult) -> bool:
+    """Return whether a free function explains what named causes do not; as good, they are named."""
+    if _is_explained(named):
+        return False
+    errors = (compute_errors(named.dataset, fit) for fit in (with_function.fit, named.fit))
+    if compute_residual_fraction(*errors) < SETTINGS.free_function_fraction:
+        return True
+    is_unexplained = not named.steps or _compute_fraction(named) > SETTINGS.unexplained_fraction_max
+    return is_unexplained and _compute_evidence(with_function, named) > 0.0
+
+
+# --- what a result explains
 
 
 def _is_explained(result: CauseSearchResult) -> bool:
@@ -423,176 +589,15 @@ def _count_degrees(result: CauseSearchResult) -> float:
     return len(base.shared) + own + sum(effect.degrees for effect, _ in model.effects)
 
 
-def _find_causes_stepwise(
-    loads: Choice,
-    dataset: Dataset,
-    base_fit: Fit,
-    effects: Sequence[Effect],
-    report: ProgressCallback,
-    workers: int,
-    budget: TimeBudget,
-) -> CauseSearchResult:
-    """Return the causes of the residual of the base law, searched one after the other."""
-    applicable = select_applicable_effects(effects, dataset.records[0], dataset.base)
-    fit, steps, first_candidates = base_fit, list[CauseStep](), list[Candidate]()
-    for begin, end in itertools.pairwise(SEARCH_PROGRESS):
-        if is_noise(dataset, compute_errors(dataset, fit)) or (
-            steps and _is_exhausted(dataset, fit, base_fit)
-        ):
-            break
-        if first_candidates and not budget.has_time("further causes", FUNCTION_SEARCHES):
-            break
-        untried = [effect for effect in applicable if effect.name not in fit.names]
-        candidates = fit_candidates(
-            dataset, fit, untried, scale_progress(report, begin, end), workers
-        )
-        if are_not_tendon_data(
-            dataset, (compute_errors(dataset, base_fit), *_get_errors(candidates))
-        ):
-            first_candidates = first_candidates or candidates
-            break
-        step = find_next_cause(dataset, base_fit, fit, candidates)
-        if step is not None and not steps:
-            fit_without = refit_without_effect(dataset, step.fit, step.effect)
-            if score_effect(dataset, step.fit, fit_without, step.effect) < SETTINGS.score_min:
-                base_fit = fit = fit_without  # the previous fit was a local minimum
-                continue
-        first_candidates = first_candidates or candidates
-        if step is None:
-            if not budget.has_time("pairs of causes", FUNCTION_SEARCHES):
-                break
-            pair_steps = _find_cause_pair(
-                dataset,
-                base_fit,
-                fit,
-                candidates,
-                untried,
-                scale_progress(report, end, SEARCH_PROGRESS[-1]),
-                workers,
-            )
-            steps, fit = [*steps, *pair_steps], pair_steps[-1].fit if pair_steps else fit
-            break
-        steps.append(step)
-        fit = step.fit
-    return CauseSearchResult(
-        loads, dataset, base_fit, first_candidates, *prune_causes(dataset, base_fit, steps, fit)
-    )
-
-
-def _restart_from_other_cause(
-    result: CauseSearchResult,
-    effects: Sequence[Effect],
-    report: ProgressCallback,
-    workers: int,
-    budget: TimeBudget,
-) -> CauseSearchResult:
-    """Return the result of a search from another first cause if it is better, else `result`.
-
-    The effect that explains most by itself need not be among those that together explain all:
-    plays of many thresholds imitate the gain of a load cell, badly.
-    """
-    dataset, base_fit = result.dataset, result.base_fit
-    applicable = select_applicable_effects(effects, dataset.records[0], dataset.base)
-    names = {step.effect.name for step in result.steps[:1]}
-    first_candidate = min(
-        (
-            candidate
-            for candidate in result.first_candidates
-            if candidate.effect.name in names or not names
-        ),
-        key=lambda candidate: candidate.cost,
-        default=None,
-    )
-    alternatives = [
-        candidate
-        for candidate in result.first_candidates
-        if first_candidate is not None
-        and candidate.effect.name != first_candidate.effect.name
-        and abs(candidate.cost / first_candidate.cost - 1.0) > SAME_COST_TOLERANCE
-    ]
-    if not alternatives:
-        return result
-    base_errors = compute_errors(dataset, base_fit)
-    new_first = max(
-        alternatives, key=lambda candidate: score_candidate(dataset, base_errors, candidate)
-    )
-    ranking = rank_candidates(dataset, base_fit, base_fit, result.first_candidates)
-    steps, fit = [CauseStep(new_first.effect, (), ranking, new_first.fit)], new_first.fit
-    for share in (0.0, 0.5):
-        if is_noise(dataset, compute_errors(dataset, fit)) or _is_exhausted(dataset, fit, base_fit):
-            break
-        if not budget.has_time("other first causes"):
-            break
-        untried = [effect for effect in applicable if effect.name not in fit.names]
-        candidates = fit_candidates(
-            dataset, fit, untried, scale_progress(report, share, share + 0.5), workers
-        )
-        step = find_next_cause(dataset, base_fit, fit, candidates)
-        if step is None:
-            break
-        steps.append(step)
-        fit = step.fit
-    steps, fit = prune_causes(dataset, base_fit, steps, fit)
-    restarted = result._replace(steps=steps, fit=fit)
-    # see `_find_cause_pair`
-    is_accepted = result.steps or is_within_tolerance(
-        dataset, compute_errors(dataset, fit), SETTINGS.tolerance_ratio_max
-    )
-    is_better = len(steps) > 1 and is_accepted and _compute_evidence(restarted, result) > 0.0
-    return restarted if is_better else result
-
-
-def _find_cause_pair(
-    dataset: Dataset,
-    base_fit: Fit,
-    current_fit: Fit,
-    candidates: Sequence[Candidate],
-    untried: Sequence[Effect],
-    report: ProgressCallback,
-    workers: int,
-) -> list[CauseStep]:
-    """Return two causes, neither significant alone, if together they leave only noise.
-
-    The first of the two may increase the error of a channel of little noise while it removes most
-    of another's. It must fit far better than any other, as this is the only evidence for it yet.
-    """
-    by_cost = sorted(candidates, key=lambda candidate: candidate.cost)
-    other_costs = [
-        candidate.cost for candidate in by_cost if candidate.effect.name != by_cost[0].effect.name
-    ]
-    if not other_costs or by_cost[0].cost * SETTINGS.lead_cost_ratio > min(other_costs):
-        return []
-    lead_candidate = by_cost[0]
-    untried = [effect for effect in untried if effect.name != lead_candidate.effect.name]
-    second_candidates = fit_candidates(dataset, lead_candidate.fit, untried, report, workers)
-    second_step = find_next_cause(dataset, base_fit, lead_candidate.fit, second_candidates)
-    if second_step is None or not is_within_tolerance(
-        dataset, compute_errors(dataset, second_step.fit), SETTINGS.tolerance_ratio_max
-    ):
-        return []
-    return [
-        CauseStep(
-            lead_candidate.effect,
-            (),
-            rank_candidates(dataset, base_fit, current_fit, list(candidates)),
-            lead_candidate.fit,
-        ),
-        second_step,
-    ]
-
-
-def _is_exhausted(dataset: Dataset, fit: Fit, base_fit: Fit) -> bool:
+def _is_within_model_error(result: CauseSearchResult) -> bool:
     """Return whether the residual is too small to tell another cause from model error."""
-    errors = compute_errors(dataset, fit)
-    if (
-        compute_residual_fraction(errors, compute_errors(dataset, base_fit))
-        < SETTINGS.residual_fraction_min
-    ):
-        return True
-    return is_within_tolerance(dataset, errors, SETTINGS.tolerance_ratio_max)
+    errors = compute_errors(result.dataset, result.fit)
+    return _compute_fraction(result) < SETTINGS.residual_fraction_min or is_within_tolerance(
+        result.dataset, errors, SETTINGS.tolerance_ratio_max
+    )
 
 
-def _is_brief(dataset: Dataset, base_fit: Fit) -> bool:
+def has_localised_misfit(dataset: Dataset, base_fit: Fit) -> bool:
     """Return whether nearly all of the misfit lies in one block, or in two neighbouring ones."""
     peak = total = 0.0
     for record, simulated in zip(dataset.records, base_fit.simulated, strict=True):
@@ -606,4 +611,4 @@ def _is_brief(dataset: Dataset, base_fit: Fit) -> bool:
         excess = np.maximum(excess, 0.0)
         peak = max(peak, float(np.convolve(excess, np.ones(2)).max()))
         total += float(excess.sum())
-    return peak > SETTINGS.brief_share * total
+    return peak > SETTINGS.localised_share * total

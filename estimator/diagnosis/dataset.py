@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from functools import lru_cache
+from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
@@ -197,6 +198,28 @@ def compute_record_bounds(record: Record, base: BaseParameters) -> list[tuple[fl
     return bounds
 
 
+class _WorkClock:
+    """How many samples all threads of the process have simulated."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self.samples = 0
+
+    def add(self, samples: int) -> None:
+        """Count a simulation."""
+        with self._lock:
+            self.samples += samples
+
+
+_WORK = _WorkClock()
+SAMPLES_PER_SECOND = 3e5  # that a search simulates, beside its other work (studies/results)
+
+
+def read_work_clock() -> float:
+    """Return for how long the process has simulated [s], by samples: the same on any machine."""
+    return _WORK.samples / SAMPLES_PER_SECOND
+
+
 def simulate_record(
     record: Record,
     context: EffectContext,
@@ -219,6 +242,7 @@ def simulate_record(
     coarse : CoarseSteps, optional
         Simulate some of the samples only.
     """
+    _WORK.add(len(record.time if coarse is None else coarse.rows))
     values = base.values(shared, own)
     effects = [pair for pair in effects if pair[0].is_active_in(context)]
     physics = build_plain_physics(record, base, values)

@@ -5,7 +5,6 @@ simulated benches is right with it. How hard the fits search (rounds, starts, st
 it is used.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -92,9 +91,9 @@ class Settings:
     # when to look no further (causes.py)
     residual_fraction_min: float = 0.01  # of the first error beyond noise
     tolerance_ratio_max: float = 2.5  # rms residual over tolerance
-    brief_share: float = 0.8  # of the squared error in two neighbouring blocks: blocks become short
+    localised_share: float = 0.8  # of the misfit in two neighbouring blocks: blocks become short
 
-    search_time_max: float = 100.0  # [s] of the processor, in which all searches must end
+    search_time_max: float = 100.0  # [s] of simulations (dataset.py), in which searches must end
 
     # what a part of the samples tells (fit.py)
     uncertainty_ratio_max: float = 4.0  # of that from all samples: above it, no refit
@@ -112,16 +111,19 @@ SETTINGS = Settings()
 
 
 class TimeBudget:
-    """The processor time of searches, of all threads of the process together.
+    """The time that searches may take.
 
     Parameters
     ----------
     limit : float
         [s] from now on. A search begins if the longest one so far would end within it.
+    clock : callable
+        Returns the time [s].
     """
 
-    def __init__(self, limit: float) -> None:
-        self._begin = time.process_time()
+    def __init__(self, limit: float, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._begin = clock()
         self._end = self._begin + limit
         self._longest = 0.0
         self.untried: list[str] = []
@@ -132,7 +134,7 @@ class TimeBudget:
 
         The search before ends here.
         """
-        now = time.process_time()
+        now = self._clock()
         self._longest, self._begin = max(self._longest, now - self._begin), now
         if now + (1 + following) * self._longest < self._end:
             return True

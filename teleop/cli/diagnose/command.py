@@ -84,8 +84,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=SETTINGS.search_time_max,
         metavar="S",
-        help="seconds of the processor for each record, after which no further search begins "
-        "(default 100)",
+        help="seconds for each record, after which no further search begins, counted as simulated "
+        "samples: 300 000 are a second on any machine (default 100)",
     )
     parser.add_argument(
         "--supplement",

@@ -15,7 +15,7 @@ from estimator.diagnosis.dataset import (
 from estimator.diagnosis.fit import build_initial_contexts, fit_model, shift_parameters
 from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.scoring import Choice
-from estimator.diagnosis.settings import TimeBudget, ignore_progress
+from estimator.diagnosis.settings import TimeBudget
 from estimator.effects import CATALOGUE
 from studies import hidden
 
@@ -79,6 +79,17 @@ def test_what_only_a_sensor_makes_of_a_motion_is_not_simulated_again(bench, law)
     assert dataset._simulate_motion.cache_info().misses == simulated + 1
 
 
+def test_the_time_of_a_search_goes_by_samples_whatever_is_remembered(bench, law):
+    contexts = build_initial_contexts(bench)
+    spans = []
+    for _ in range(2):
+        begin = dataset.read_work_clock()
+        simulate_dataset(bench, contexts, shift_parameters(bench, law.model, 0.5 * np.ones(5)))
+        spans.append(dataset.read_work_clock() - begin)
+    expected = len(bench.records[0].time) / dataset.SAMPLES_PER_SECOND
+    assert spans == pytest.approx([expected, expected])
+
+
 def test_the_search_ends_early_where_no_first_fit_makes_a_tendon_of_the_data(monkeypatch):
     made = hidden.make(23, (), duration=12.0, rate=50.0)
     drawn = np.random.default_rng(1).uniform(2.0, 20.0, 40)
@@ -98,11 +109,10 @@ def test_the_search_ends_early_where_no_first_fit_makes_a_tendon_of_the_data(mon
     monkeypatch.setattr(causes, "fit_functions", pytest.fail)
     result, _ = causes.find_causes(
         [Choice(foreign, fit_baseline(foreign), ())],
-        [effect("creep"), effect("viscous_friction")],
+        causes.CauseSearch(
+            [effect("creep"), effect("viscous_friction")], TimeBudget(60.0, dataset.read_work_clock)
+        ),
         fit_all=False,
-        report=ignore_progress,
-        workers=1,
-        budget=TimeBudget(60.0),
     )
     assert result.steps == []
     assert rounds == [screening.ROUNDS[0]] * 2
