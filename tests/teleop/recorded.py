@@ -1,11 +1,13 @@
 """Messages as a listener hears them, links and commands, for tests of recordings."""
 
 import os
-import socket
 import subprocess
 import sys
 import textwrap
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ import numpy as np
 from teleop.link import LinkConfig, ReceivedMessage
 from teleop.messages.messages import Message
 from teleop.messages.topics import Topic
+from teleop.recording.writer import RecordConfig, RecordingWriter
 
 START_NS = 1_700_000_000_000_000_000
 SENDER = 0x0123_4567_89AB_CDEF
@@ -41,13 +44,24 @@ def heard(
     return ReceivedMessage(topic, data, sent_ns + 300_000, sender, sequence, sent_ns)
 
 
-def free_link() -> LinkConfig:
-    """A link on two ports that are free."""
-    with socket.socket() as one, socket.socket() as other:
-        one.bind(("127.0.0.1", 0))
-        other.bind(("127.0.0.1", 0))
-        ports = one.getsockname()[1], other.getsockname()[1]
-    return LinkConfig(master=f"127.0.0.1:{ports[0]}", slave=f"127.0.0.1:{ports[1]}")
+def record(
+    folder: Path,
+    messages: Iterable[tuple[Topic[Any], Message, int]],
+    config: str = "",
+    overrides: Sequence[str] = (),
+    delay_ns: int = 0,
+    **settings: Any,
+) -> Path:
+    """Record (topic, message, time sent) by the recorder's own writer, each of them at once."""
+    numbers: Counter[Topic[Any]] = Counter()
+    how = RecordConfig(directory=str(folder), **settings)
+    with RecordingWriter(how, "demo", START_NS, config, overrides) as writer:
+        for topic, message, sent_ns in messages:
+            number, numbers[topic] = numbers[topic], numbers[topic] + 1
+            data = message.pack(SENDER, number, sent_ns)
+            item = ReceivedMessage(topic, data, sent_ns + delay_ns, SENDER, number, sent_ns)
+            writer.write([item], sent_ns)
+    return writer.path
 
 
 RUN = textwrap.dedent(

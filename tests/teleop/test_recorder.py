@@ -4,7 +4,7 @@ import signal
 import subprocess
 import sys
 import time
-from typing import Any, Self
+from typing import Any
 from unittest.mock import patch
 
 import pytest
@@ -24,25 +24,12 @@ from teleop.recording.command import format_status
 from teleop.recording.reader import open_recording, read_columns
 from teleop.recording.recorder import GRACE_NS, SILENCE_NS, Recorder
 from teleop.recording.writer import RecordConfig, RecordingWriter
-from tests.teleop.link.bench import wait_until
-from tests.teleop.recorded import START_NS, free_link, start
+from tests.teleop.link.bench import free_config, wait_until
+from tests.teleop.recorded import START_NS, start
+from tests.tick.memory_link import Sample
 
 MS = 1_000_000
 SENDER = 7
-
-
-class Sample:
-    """What Zenoh hands over."""
-
-    def __init__(self, data: bytes) -> None:
-        self._data = data
-
-    @property
-    def payload(self) -> Self:
-        return self
-
-    def to_bytes(self) -> bytes:
-        return self._data
 
 
 class Bench:
@@ -175,7 +162,7 @@ def test_a_session_that_goes_on_does_not_keep_the_recorder(tmp_path: Any) -> Non
 
 
 def test_missing_messages_are_told_and_end_the_command_with_exit_code_1(tmp_path: Any) -> None:
-    config = free_link()
+    config = free_config()
     process = start("teleop.recording.command", config, f"--out={tmp_path}", "--set=session=bench")
     assert process.stdout.readline().startswith("recording session")
     with Link(config, "bench", Role.SLAVE) as slave:
@@ -270,7 +257,7 @@ def test_every_command_says_what_is_wrong_with_a_recording(
     if how == "damaged":
         content[lengths[2] - 600] ^= 1
     path.write_bytes(content[: lengths[2] - (how == "truncated") * 600])
-    link = free_link()
+    link = free_config()
     ends_of = ["--set", f"link.master={link.master}", "--set", f"link.slave={link.slave}"]
     further = ends_of if words[0] in ("replay", "view") else []
     commands.main([word.format(path) for word in words] + further)

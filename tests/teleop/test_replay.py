@@ -20,8 +20,8 @@ from teleop.recording.replay import Player, SenderRewriter, require_present_layo
 from teleop.recording.scan import RecordingError
 from teleop.recording.writer import GapCounter, RecordConfig, RecordingWriter
 from teleop.runtime.clock import now_ns
-from tests.teleop.link.bench import wait_until
-from tests.teleop.recorded import START_NS, free_link, heard, start
+from tests.teleop.link.bench import free_config, wait_until
+from tests.teleop.recorded import START_NS, heard, start
 
 NONCES = {Role.MASTER: 0xAAAA, Role.SLAVE: 0xBBBB}
 HEAD = ("checksum", "sender", "sequence", "stamp_ns")
@@ -106,7 +106,7 @@ def test_what_peers_would_refuse_is_not_played(tmp_path, monkeypatch):
 
 def test_listeners_hear_the_session_again_never_early(recording):
     path, messages = recording
-    config, speed = free_link(), 0.5
+    config, speed = free_config(), 0.5
     with (
         Link(config, "demo-replay", Role.SLAVE) as slave,
         Link(config, "demo-replay", Role.MASTER) as master,
@@ -142,7 +142,7 @@ def test_listeners_hear_the_session_again_never_early(recording):
 
 def test_a_replay_and_a_real_loop_never_share_a_session(recording):
     path, _ = recording
-    config = free_link()
+    config = free_config()
     with Link(config, "demo-replay", Role.SLAVE):
         refused = start("teleop.recording.replay", config, str(path))
         _, said = refused.communicate(timeout=PATIENCE_S)
@@ -177,7 +177,7 @@ def test_a_wrong_call_gets_one_line(recording, words, said, capsys):
 
 
 def test_the_recorder_hears_a_whole_session_and_says_so(tmp_path):
-    config = free_link()
+    config = free_config()
     (tmp_path / "session.yaml").write_text("session: bench\n")
     recorder = start(
         "teleop.recording.command", config, f"--config={tmp_path / 'session.yaml'}",

@@ -18,9 +18,7 @@ from rerun.chunk import RrdReader
 from teleop.cli import commands
 from teleop.errors import TeleopError, UsageError
 from teleop.launch.supervisor import wait_for_condition
-from teleop.link import ReceivedMessage
 from teleop.messages.topics import HAND, TENDONS, TOPICS
-from teleop.recording.writer import RecordConfig, RecordingWriter
 from teleop.view import sinks
 from teleop.view.columns import Sender, decode
 from teleop.view.config import ViewConfig, ViewRates
@@ -28,6 +26,7 @@ from teleop.view.feed import MessageBuffer, show_recording
 from teleop.view.page import BlockBuffer, split_messages
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink, disable_usage_statistics
+from tests.teleop.recorded import record
 from tests.teleop.view_session import CONFIG, T0, Session, read, save
 
 
@@ -45,16 +44,9 @@ def saved(session, tmp_path_factory):
 
 
 def test_a_recording_is_shown_whole(session, tmp_path, saved):
-    with RecordingWriter(RecordConfig(directory=str(tmp_path)), "demo", T0) as writer:
-        for topic, data in session.messages:
-            message = topic.message.unpack(data)
-            stamp = message.stamp_ns
-            heard = ReceivedMessage(
-                topic, data, stamp + 1000, message.sender, message.sequence, stamp
-            )
-            writer.write([heard], stamp)
+    path = record(tmp_path, session.unpack(), delay_ns=1000)
     with Sink("rrd", CONFIG, "demo", tmp_path / "demo.rrd", live=False) as sink:
-        fed = show_recording(str(writer.path), Scene(CONFIG, sink.stream), lambda: False, 0.1)
+        fed = show_recording(str(path), Scene(CONFIG, sink.stream), lambda: False, 0.1)
     assert fed.received == len(session.messages)
     again = read(tmp_path / "demo.rrd")
     assert {name for name in again if "__" not in name} == {n for n in saved if "__" not in n}

@@ -8,15 +8,14 @@ import pytest
 from PIL import Image
 
 from teleop.cli import commands
-from teleop.link import ReceivedMessage
 from teleop.messages.topics import PROFILE, STATE
 from teleop.recording.reader import open_recording
-from teleop.recording.writer import RecordConfig, RecordingWriter
 from teleop.runtime.status_line import Progress
 from teleop.view import clip, colours, feed
 from teleop.view.clip_canvas import THEMES
 from teleop.view.clip_figure import ClipFigure
 from teleop.view.colours import to_rgb
+from tests.teleop.recorded import record
 from tests.teleop.view_session import CONFIG, T0, Session
 
 SIZE = (640, 360)
@@ -27,22 +26,11 @@ def session():
     return Session()
 
 
-def record(messages, folder):
-    settings, text = RecordConfig(directory=str(folder)), "view: {tension_scale_N: 10}\n"
-    with RecordingWriter(settings, "demo", T0, config_text=text) as writer:
-        for topic, data in messages:
-            head = topic.message.unpack(data)
-            stamp = head.stamp_ns
-            writer.write(
-                [ReceivedMessage(topic, data, stamp, head.sender, head.sequence, stamp)], stamp
-            )
-    return writer.path
-
-
 @pytest.fixture(scope="module")
 def recording(session, tmp_path_factory):
     """A recording of one second, with the scale of tension of `CONFIG`."""
-    return record(session.messages, tmp_path_factory.mktemp("clip"))
+    config = "view: {tension_scale_N: 10}\n"
+    return record(tmp_path_factory.mktemp("clip"), session.unpack(), config)
 
 
 @pytest.fixture(scope="module")

@@ -130,6 +130,12 @@ class Session:
         sequence = self.sequences[topic] = self.sequences.get(topic, -1) + 1
         self.messages.append((topic, message.pack(SENDER, sequence, stamp)))
 
+    def unpack(self):
+        """Yield topic, message and stamp of each."""
+        for topic, data in self.messages:
+            message = topic.message.unpack(data)
+            yield topic, message, message.stamp_ns
+
     def of(self, topic):
         return [topic.message.unpack(data) for t, data in self.messages if t is topic]
 

@@ -10,14 +10,14 @@ from slave.config import SlaveConfig
 from teleop.cli import commands
 from teleop.config.loading import load
 from teleop.data.table import read_table
-from teleop.link import LinkConfig, ReceivedMessage
+from teleop.link import LinkConfig
 from teleop.messages.messages import MAX_TENDONS, TendonState
 from teleop.messages.topics import TENDONS
-from teleop.recording.writer import RecordConfig, RecordingWriter
 from teleop.session.config import RunConfig
 from teleop.view.config import ViewConfig
 from tests.root import ROOT
-from tests.teleop.recorded import SENDER, START_NS
+from tests.teleop import recorded
+from tests.teleop.recorded import START_NS
 
 SAMPLES = 400
 NOWHERE = (math.nan,) * MAX_TENDONS
@@ -37,14 +37,8 @@ def record(folder, config, *overrides, tendons=8):
             bench_distal_tension=NOWHERE,
             bench_distal_displacement=NOWHERE,
         )
-        sent_ns = START_NS + k * 1_000_000
-        data = state.pack(SENDER, k, sent_ns)
-        messages.append(ReceivedMessage(TENDONS, data, sent_ns, SENDER, k, sent_ns))
-    with RecordingWriter(
-        RecordConfig(directory=str(folder)), "demo", START_NS, text, overrides
-    ) as writer:
-        writer.write(messages, START_NS + 1_000_000_000)
-    return writer.path
+        messages.append((TENDONS, state, START_NS + k * 1_000_000))
+    return recorded.record(folder, messages, text, overrides)
 
 
 @pytest.fixture(scope="module")

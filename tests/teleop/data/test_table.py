@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 from teleop.data import bounds, table_files, text_table
 from teleop.data.table import Columns, read_table, read_tables, write_table
 from teleop.errors import UsageError
-from teleop.link import ReceivedMessage
 from teleop.messages.messages import MAX_TENDONS, TendonState, pad_values
 from teleop.messages.topics import TENDONS
-from teleop.recording.writer import RecordConfig, RecordingWriter
+from tests.teleop.recorded import START_NS, record
 
 GOOD = "time_s,proximal_tension_N\n0.0,1.0\n0.1,2.0\n0.2,3.0\n"
 HEAD = "time_s,proximal_tension_N,proximal_displacement_m\n"
@@ -79,7 +78,7 @@ def test_integers_and_floats_of_any_width_from_parquet(tmp_path):
 def test_a_recording_is_a_table(tmp_path):
     expected = np.arange(1.0, 11.0)
     nothing = (np.nan,) * MAX_TENDONS
-    heard = []
+    sent = []
     for k, tension in enumerate(expected):
         message = TendonState(
             tendons=2,
@@ -89,11 +88,8 @@ def test_a_recording_is_a_table(tmp_path):
             bench_distal_tension=nothing,
             bench_distal_displacement=nothing,
         )
-        sent_ns = 10**18 + k * 10**8
-        heard.append(ReceivedMessage(TENDONS, message.pack(1, k, sent_ns), sent_ns, 1, k, sent_ns))
-    with RecordingWriter(RecordConfig(str(tmp_path)), "test", 10**18) as writer:
-        writer.write(heard, 10**18)
-    path = writer.path
+        sent.append((TENDONS, message, START_NS + k * 10**8))
+    path = record(tmp_path, sent)
     first, second = read_tables(path, (Columns(), Columns.from_tendon(2)))
     assert first.time == pytest.approx(0.1 * np.arange(10))
     assert first.proximal_tension.tolist() == expected.tolist()

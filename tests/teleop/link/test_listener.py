@@ -5,7 +5,7 @@ import threading
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any
 from unittest.mock import patch
 
 from hypothesis import given
@@ -16,20 +16,7 @@ from teleop.link.listener import BACKLOG_S, CAPACITY_MIN, Listener, MessageQueue
 from teleop.messages.messages import EmergencyStop
 from teleop.messages.topics import COMMAND, EVENT, LEDGER, STATE, STOP, TOPICS, Topic
 from tests.teleop.link.bench import packed
-
-
-class Sample:
-    """What Zenoh hands over."""
-
-    def __init__(self, data: bytes) -> None:
-        self._data = data
-
-    @property
-    def payload(self) -> Self:
-        return self
-
-    def to_bytes(self) -> bytes:
-        return self._data
+from tests.tick.memory_link import Sample
 
 
 def hear(listener: Listener, topic: Topic[Any]) -> Callable[[bytes], None]:

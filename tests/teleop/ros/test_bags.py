@@ -39,7 +39,7 @@ from teleop.ros.message_types import (
     load_typestore,
 )
 from tests.root import ROOT
-from tests.teleop.recorded import START_NS
+from tests.teleop.recorded import START_NS, record
 
 MS = 1_000_000
 NAN = float("nan")
@@ -72,16 +72,8 @@ def session(k):
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("bags")
-    numbers = {}
-    with RecordingWriter(RecordConfig(directory=str(folder)), "demo", START_NS) as writer:
-        for k in range(300):
-            for topic, message in session(k):
-                number = numbers[topic.name] = numbers.get(topic.name, 0) + 1
-                sent = START_NS + k * MS
-                data = message.pack(7, number, sent)
-                writer.write([ReceivedMessage(topic, data, sent + 5, 7, number, sent)], sent)
-    return writer.path
+    messages = ((*pair, START_NS + k * MS) for k in range(300) for pair in session(k))
+    return record(tmp_path_factory.mktemp("bags"), messages, delay_ns=5)
 
 
 @pytest.fixture(scope="module")

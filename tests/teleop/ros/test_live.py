@@ -19,7 +19,7 @@ from teleop.ros.message_types import JOINT_STATE, load_typestore
 from teleop.ros.node import RosNode
 from teleop.ros.publishers import Publishers
 from teleop.session.state_machine import State
-from tests.teleop.recorded import free_link
+from tests.teleop.link.bench import free_config
 from tests.teleop.ros.peers import Heard, peer, router
 
 PATIENCE_S = 20.0
@@ -75,7 +75,7 @@ def heard():
     """What a peer heard of a session within a second and more; and the same peer's tokens."""
     said = []
     config = RosConfig(prefix="/lab")
-    ends = free_link()
+    ends = free_config()
     with (
         router() as endpoint,
         peer(endpoint) as other,

@@ -12,11 +12,9 @@ from teleop.cli.diagnose import command
 from teleop.data.channel_names import ANCHOR_TENSION, JOINT_ANGLE, format_numbered_name
 from teleop.data.table import Columns, write_table
 from teleop.errors import UsageError
-from teleop.link import ReceivedMessage
 from teleop.messages.messages import MAX_TENDONS, TendonState
 from teleop.messages.topics import TENDONS
-from teleop.recording.writer import RecordConfig, RecordingWriter
-from tests.teleop.recorded import SENDER, START_NS
+from tests.teleop.recorded import START_NS, record
 
 SHAPE = arms.Shape(((0.005, 0.0), (-0.004, 0.005)), friction=0.15, wrap=0.5)
 FIELDS = ("time_s", "proximal_tension", "proximal_displacement", "bench_distal_tension",
@@ -101,15 +99,11 @@ def test_a_recording_is_diagnosed_with_the_arm_of_its_own_config(tmp_path, capsy
         return (*values.tolist(), *(math.nan,) * (MAX_TENDONS - 4))
 
     messages = []
-    for k, row in enumerate(zip(*run_[:5], strict=True)):
+    for row in zip(*run_[:5], strict=True):
         fields = dict(zip(FIELDS, (float(row[0]), *map(fill, row[1:])), strict=True))
         sent_ns = START_NS + round(row[0] * 1e9)
-        data = TendonState(tendons=4, **fields).pack(SENDER, k, sent_ns)
-        messages.append(ReceivedMessage(TENDONS, data, sent_ns, SENDER, k, sent_ns))
-    settings = RecordConfig(directory=str(tmp_path))
-    with RecordingWriter(settings, "demo", START_NS, CONFIG, ()) as writer:
-        writer.write(messages, START_NS + 20_000_000_000)
-    assert run(writer.path) == 0
+        messages.append((TENDONS, TendonState(tendons=4, **fields), sent_ns))
+    assert run(record(tmp_path, messages, CONFIG)) == 0
     printed = capsys.readouterr().out
     assert "Nothing is wrong with the arm" in printed
     assert "Joint angles were not measured" in printed
