@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from master import live_settings
+from master.devices.virtual import VirtualConfig
 from slave.live_settings import is_live_key
 from slave.simulation import environment
 from teleop.errors import TeleopError, UsageError
@@ -38,6 +39,7 @@ Observer = Callable[[Trial], str]  # asked after each trial; returns one of `Des
 Settings = Mapping[str, Any]  # by dotted key of a config
 
 ATTEMPTS_MAX = 10  # of a trial
+SCRIPTED_WAITS_MAX = 2  # in a row, for a scripted hand to engage: nobody can help it
 RECORDINGS = "recordings"  # folder of the sessions' recordings, in that of the experiment
 _IMPAIR = ("impair.to_slave.", "impair.to_master.")
 GAP_S = 0.3  # [s] without a state of the slave: the trial is disturbed
@@ -179,8 +181,9 @@ def run_experiment(
     UsageError
         The design was changed since earlier trials, or asks for what cannot be set.
     TeleopError
-        A session cannot start, or a trial was abandoned `ATTEMPTS_MAX` times in a row. Calling
-        again goes on with that trial.
+        A session cannot start; a trial was abandoned `ATTEMPTS_MAX` times in a row; or a scripted
+        hand did not engage within `engage_timeout`, twice in a row. Calling again goes on with that
+        trial.
     """
     design, folder = experiment.design, Path(out)
     description = {"name": experiment.name, "duration": experiment.duration, **design.describe()}
@@ -220,16 +223,28 @@ def run_experiment(
 
 def _present(stage: "_Stage", trial: Trial, say: Callable[[str], None]) -> tuple[int, int]:
     """Present a trial until it is undisturbed; return the attempts, and when it began [ns]."""
+    waits = 0  # in vain, in a row
     for attempt in range(1, ATTEMPTS_MAX + 1):
         try:
             return attempt, stage.present(trial)
         except UsageError:
             raise
         except TeleopError as error:
+            waits = waits + 1 if isinstance(error, _NotEngagedError) else 0
+            if waits == SCRIPTED_WAITS_MAX and stage.is_hand_scripted:
+                raise TeleopError(
+                    f"trial {trial.number}: {error}, {waits} times in a row: the scripted hand has "
+                    "let go; see master.device.engage and engage_period; earlier trials are kept, "
+                    "run the experiment again to go on with this one in a new session"
+                ) from error
             say(f"trial {trial.number} is abandoned and repeated: {error}")
             reason = error
             stage.abandon(trial, str(error))
     raise TeleopError(f"trial {trial.number}: abandoned {ATTEMPTS_MAX} times; the last: {reason}")
+
+
+class _NotEngagedError(TeleopError):
+    """The operator did not engage in time."""
 
 
 class _Stage(AbstractContextManager["_Stage"]):
@@ -269,6 +284,14 @@ class _Stage(AbstractContextManager["_Stage"]):
         path = self.session.recording if isinstance(self.session, Session) else None
         return path.name if path else ""
 
+    @property
+    def is_hand_scripted(self) -> bool:
+        """Whether it is known that no operator holds the device."""
+        session = self.session
+        return isinstance(session, Session) and isinstance(
+            session.config.master.device, VirtualConfig
+        )
+
     def present(self, trial: Trial) -> int:
         """Present all intervals of a trial; return when the first began [ns].
 
@@ -283,7 +306,10 @@ class _Stage(AbstractContextManager["_Stage"]):
         if self.session is None:
             return now_ns()
         begin_ns = 0
-        self.session.wait_for("engaged", self._engage_timeout)
+        try:
+            self.session.wait_for("engaged", self._engage_timeout)
+        except TeleopError as error:
+            raise _NotEngagedError(str(error)) from error
         for interval in range(1, self._experiment.design.intervals + 1):
             self._apply({**live, **self._experiment.set_stimulus(trial, interval)})
             if interval == 1:

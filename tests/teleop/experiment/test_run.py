@@ -16,6 +16,7 @@ from teleop import (
     Design,
     Experiment,
     KeyObserver,
+    TeleopError,
     UsageError,
     load_config,
     read_trials,
@@ -39,7 +40,7 @@ def run(config, folder, **words):
     experiment = Experiment(name="test", **{"duration": 0.3} | words)
     lines = []
     observer = lambda trial: str(trial.target)  # noqa: E731
-    run_experiment(config, experiment, 1, folder, observer, say=lines.append)
+    run_experiment(config, experiment, 1, folder, observer, engage_timeout=20.0, say=lines.append)
     return lines
 
 
@@ -74,6 +75,24 @@ def test_trials_take_place_in_a_session_and_are_marked_in_its_recording(tmp_path
     assert sum(" abandoned: " in text for _, text in marks) == abandoned
     scales = [text for _, text in events if "force.scale" in text]
     assert any("0.2" in text for text in scales)
+
+
+@pytest.mark.real_time
+def test_a_scripted_hand_that_lets_go_for_good_ends_the_experiment_and_keeps_its_trials(tmp_path):
+    config = load_config(DEMO, SLOW | {"master.device.engage": [[0.5, 4.0]],
+                                       "master.device.engage_period": 1000.0})  # fmt: skip
+    experiment = Experiment(name="test", design=Design(procedure=ConstantStimuli((0.0,), 100)),
+                            duration=0.3)  # fmt: skip
+    lines = []
+    with pytest.raises(
+        TeleopError, match=r"is not engaged within 5 s: .*, 2 times in a row"
+    ) as why:
+        run_experiment(config, experiment, 1, tmp_path, lambda _: "no", engage_timeout=5.0,
+                       say=lines.append)  # fmt: skip
+    assert "earlier trials are kept" in str(why.value)
+    assert "\n" not in str(why.value)
+    assert 1 <= len(read_trials(tmp_path)) < 100
+    assert 1 <= sum("abandoned and repeated" in line for line in lines) <= 2
 
 
 STIFFNESS = "slave.rig.joints.0.environment.stiffness"
