@@ -27,7 +27,6 @@ from estimator.kinematics.hand_map import HandMap as HandMap
 from estimator.kinematics.hand_map import HandMapConfig as HandMapConfig
 from estimator.kinematics.hand_map import HandPose as HandPose
 from estimator.kinematics.hand_map import build_hand_map_settings as build_hand_map_settings
-from estimator.kinematics.hand_map import reflect_to_hand as reflect_to_hand
 from estimator.kinematics.hand_map import step_hand_map as step_hand_map
 from estimator.kinematics.hand_map import write_joint_map as write_joint_map
 from estimator.kinematics.inverse import InverseConfig as InverseConfig
@@ -53,8 +52,6 @@ from estimator.pair.pair_study import study_pair as study_pair
 from estimator.results import plot_result as plot_result
 from estimator.results import show_result as show_result
 from estimator.results import summarise_result as summarise_result
-from estimator.routing.forces import distribute_torque as distribute_torque
-from estimator.routing.forces import find_pretension as find_pretension
 from estimator.routing.routing import Routing as Routing
 from estimator.routing.routing import RoutingError as RoutingError
 from estimator.routing.tensions import JointEstimator as JointEstimator

@@ -206,19 +206,6 @@ def write_joint_map(arm: PreparedArm, step: InverseStep, state: HandMap) -> None
 
 
 @jit_compile
-def reflect_to_hand(arm: PreparedArm, state: HandMap, torque: Array, force: Array) -> None:
-    """Write the force in the hand T^T tau, shape (7,), in the frame of the device [N], [N m].
-
-    `torque` are the forces of the arm's coordinates and, behind them, of the jaw, shape (n + 1,) or
-    longer.
-    """
-    for axis in range(AXES):
-        force[axis] = 0.0
-        for j in range(arm.coordinates + 1):
-            force[axis] += state.joint_map[j, axis] * torque[j]
-
-
-@jit_compile
 def _is_valid(hand: HandPose) -> bool:
     """Return whether a pose is finite, with an orientation."""
     total = hand.grip

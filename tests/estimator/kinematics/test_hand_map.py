@@ -13,7 +13,6 @@ from estimator.kinematics.hand_map import (
     HandMapConfig,
     HandPose,
     build_hand_map_settings,
-    reflect_to_hand,
     step_hand_map,
     write_joint_map,
 )
@@ -54,7 +53,7 @@ class Teleoperation:
         step_inverse(self.arm, self.inverse, self.jacobian, self.q, twist, error, DT, self.step)
         write_joint_map(self.arm, self.step, self.state)
         torque = np.zeros(self.n + 1) if torque is None else torque
-        reflect_to_hand(self.arm, self.state, torque, self.force)
+        self.force = self.state["joint_map"][: self.n + 1].T @ torque
         velocity = self.state["joint_velocity"][: self.n + 1]
         self.q = self.q + DT * velocity
         return DT * self.force @ self.state["velocity"], DT * torque @ velocity
