@@ -83,7 +83,6 @@ FIRST = (  # the longest, which nobody is to be left alone with at the end
     "teleop/experiment/test_run.py",
     "system/test_session_object.py",
     "drivers/test_cia402.py",
-    "teleop/cli/test_current_folder.py",
     "system/test_replay_rig.py",
     "teleop/link/test_frozen_and_killed.py",
 )
