@@ -1,5 +1,6 @@
 """The proxy between the sides: its decisions as a pure function, and its process on loopback."""
 
+import argparse
 import json
 import math
 import os
@@ -15,9 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from studies.testbed.processes import free_ports
-from teleop.config.loading import load
+from teleop.config.loading import ConfigDocument, load
 from teleop.errors import TeleopError, UsageError
-from teleop.impair import model
+from teleop.impair import command, model
 from teleop.impair.config import DirectionConfig, ImpairConfig
 from teleop.impair.direction import ENTRY_BYTES, DelayQueue, Direction
 from teleop.impair.model import DeliveryFlags, StreamState
@@ -206,6 +207,14 @@ def test_a_session_has_a_proxy_only_where_its_config_says_so():
     assert load(None, SessionConfig, None, ["impair={}"]).impair == ImpairConfig()
     impair = load(None, SessionConfig, None, ["impair.to_slave.loss=0.5"]).impair
     assert impair.to_slave.loss == 0.5
+
+
+def test_an_option_of_the_command_counts_both_ways():
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    overrides = command.build_overrides(parser.parse_args(["--loss", "0.1"]))
+    impair = ConfigDocument(overrides=tuple(overrides)).load(ImpairConfig, "impair")
+    assert impair.to_slave.loss == impair.to_master.loss == 0.1
 
 
 def test_the_proxy_leaves_the_machine_no_easier_than_a_side():
