@@ -124,7 +124,7 @@ def store_joint_force(
     velocity_map: VelocityMap,
     written: Array,
     local: Array,
-    felt: Array,
+    coupling_force: Array,
     force: Array,
     axes: int,
     joints: int,
@@ -132,21 +132,21 @@ def store_joint_force(
 ) -> None:
     """Write the part of the `written` force on the hand that is the coupling's, along y [N].
 
-    `local` is the part that no joint feels, `felt` what all of `force` along y would have been on
-    the hand. What is missing of it on one axis is taken to be missing of all of `force`.
+    `local` is the part that no joint feels, `coupling_force` what all of `force` along y would have
+    been on the hand. What is missing of it on one axis is taken to be missing of all of `force`.
     """
     if not velocity_map.is_active:
         for k in range(MAX_JOINTS):
             out[k] = written[k] - local[k]
         return
-    share, is_felt = 1.0, False
+    share, has_force = 1.0, False
     for k in range(axes):
-        if not math.isfinite(felt[k]):
+        if not math.isfinite(coupling_force[k]):
             share = 0.0
-        elif felt[k] != 0.0:
-            is_felt = True
-            share = min(share, max(0.0, (written[k] - local[k]) / felt[k]))
-    if not is_felt:  # as before the map moves: its next motion is without a force
+        elif coupling_force[k] != 0.0:
+            has_force = True
+            share = min(share, max(0.0, (written[k] - local[k]) / coupling_force[k]))
+    if not has_force:  # as before the map moves: its next motion is without a force
         share = 0.0
     for j in range(joints):
         out[j] = share * force[j] if share > 0.0 else 0.0

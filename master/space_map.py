@@ -201,8 +201,8 @@ def _ease_joints(space: SpaceHand, dt: float) -> None:
         if outwards != 0.0:
             end = arm.upper[j] if outwards > 0.0 else arm.lower[j]
             target = min(max(outwards * (end - space.angle[j]), 0.0) / margin, 1.0)
-            most = abs(velocity) * dt / margin
-            ease[j] += min(max(target - ease[j], -most), most)
+            fastest = abs(velocity) * dt / margin
+            ease[j] += min(max(target - ease[j], -fastest), fastest)
             if step.held[j] != 0:
                 ease[j] = min(ease[j], target)
         is_easing = is_easing or ease[j] < 1.0

@@ -287,13 +287,13 @@ def press_plane(normal: Sequence[float], angles: Sequence[float] = ARM_ANGLES) -
         position = np.array([joint.position for joint in estimates])
         torque = radius * np.array([(joint.force, joint.low, joint.high) for joint in estimates]).T
         found = compute_tip_wrench(compute_jacobian(prepared, position / radius), *torque)
-        told = found.directions[found.is_told][:, :3]
+        told = found.directions[found.is_identified][:, :3]
         seen = told.T @ (told @ true)
         if np.linalg.norm(true) > CONTACT_MIN:
             rows.append(
-                (true, seen, found.wrench[:3], found.low[:3], found.high[:3], found.is_told)
+                (true, seen, found.wrench[:3], found.low[:3], found.high[:3], found.is_identified)
             )
-    true, seen, force, low, high, is_told = np.array(rows, np.float64).transpose(1, 0, 2)
+    true, seen, force, low, high, is_identified = np.array(rows, np.float64).transpose(1, 0, 2)
     size, estimated = np.linalg.norm(seen, axis=1), np.linalg.norm(force, axis=1)
     angle = np.arccos(np.clip((seen * force).sum(axis=1) / (size * estimated), -1.0, 1.0))
     inside = ((low <= true) & (true <= high)).all(axis=1).mean()
@@ -302,7 +302,7 @@ def press_plane(normal: Sequence[float], angles: Sequence[float] = ARM_ANGLES) -
         is_seen[:], angle[:], error[:] = True, np.nan, np.nan
     of_all = [np.percentile(values[is_seen], (50.0, 95.0, 100.0)) for values in (angle, error)]
     return TipErrors(
-        *of_all, inside, is_told.min(axis=1).mean(), np.linalg.norm(true, axis=1).max()
+        *of_all, inside, is_identified.min(axis=1).mean(), np.linalg.norm(true, axis=1).max()
     )
 
 

@@ -186,12 +186,12 @@ def compute_tip_force(
     """Return the force [N] of box, planes and guide at a position of the tip [m], and U [J]."""
     position = (x, y, z)
     fx, fy, fz, energy = 0.0, 0.0, 0.0, 0.0
-    stiffness, most = fixtures.stiffness, fixtures.force_max
+    stiffness, force_max = fixtures.stiffness, fixtures.force_max
     for axis in range(3):
         above = max(position[axis] - fixtures.high[axis], 0.0)
         below = max(fixtures.low[axis] - position[axis], 0.0)
-        push_down, energy_above = _press_spring(above, stiffness, most)
-        push_up, energy_below = _press_spring(below, stiffness, most)
+        push_down, energy_above = _press_spring(above, stiffness, force_max)
+        push_up, energy_below = _press_spring(below, stiffness, force_max)
         energy += energy_above + energy_below
         if axis == 0:
             fx += push_up - push_down
@@ -202,7 +202,7 @@ def compute_tip_force(
     for i in range(fixtures.planes):
         normal = fixtures.normal[i]
         height = normal[0] * x + normal[1] * y + normal[2] * z - fixtures.distance[i]
-        push, stored = _press_spring(max(-height, 0.0), stiffness, most)
+        push, stored = _press_spring(max(-height, 0.0), stiffness, force_max)
         energy += stored
         fx, fy, fz = fx + push * normal[0], fy + push * normal[1], fz + push * normal[2]
     if fixtures.has_guide:
@@ -211,7 +211,8 @@ def compute_tip_force(
         along = dx * line[0] + dy * line[1] + dz * line[2]
         dx, dy, dz = dx - along * line[0], dy - along * line[1], dz - along * line[2]
         distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-        pull, stored = _press_spring(max(distance - fixtures.guide_width, 0.0), stiffness, most)
+        depth = max(distance - fixtures.guide_width, 0.0)
+        pull, stored = _press_spring(depth, stiffness, force_max)
         energy += stored
         if pull > 0.0:
             pull /= distance
@@ -220,12 +221,12 @@ def compute_tip_force(
 
 
 @jit_compile
-def _press_spring(depth: float, stiffness: float, most: float) -> tuple[float, float]:
+def _press_spring(depth: float, stiffness: float, force_max: float) -> tuple[float, float]:
     """Return the force of a spring pressed in by `depth`, at most `most`, and its energy."""
     force = stiffness * depth
-    if force <= most:
+    if force <= force_max:
         return force, 0.5 * force * depth
-    return most, most * depth - 0.5 * most * most / stiffness
+    return force_max, force_max * depth - 0.5 * force_max * force_max / stiffness
 
 
 @jit_compile

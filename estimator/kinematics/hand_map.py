@@ -60,9 +60,11 @@ class HandMapConfig:
 
     def __post_init__(self) -> None:
         """Check the values; raises `ArmError`."""
-        for name, most in (("translation_scale", 10.0), ("rotation_scale", 10.0)):
-            if not 0.0 < getattr(self, name) <= most:
-                raise ArmError(f"{name}: {getattr(self, name)}, must be above 0 and at most {most}")
+        for name, upper_bound in (("translation_scale", 10.0), ("rotation_scale", 10.0)):
+            if not 0.0 < getattr(self, name) <= upper_bound:
+                raise ArmError(
+                    f"{name}: {getattr(self, name)}, must be above 0 and at most {upper_bound}"
+                )
         if not math.isfinite(self.grip_scale):
             raise ArmError(f"grip_scale: {self.grip_scale}, must be finite")
         length = math.hypot(*self.registration)

@@ -27,18 +27,18 @@ class TipWrench(NamedTuple):
     """
 
     wrench: Array
-    """Shape (6,); nothing of it lies in a direction that is not told."""
+    """Shape (6,); nothing of it lies in a direction that is not identified."""
     low: Array
-    """Least value of each component, shape (6,); -inf where the component cannot be told."""
+    """Least value of each component, shape (6,); -inf where the component cannot be identified."""
     high: Array
-    """Largest value, shape (6,); inf where the component cannot be told."""
+    """Largest value, shape (6,); inf where the component cannot be identified."""
     directions: Array
     """Unit vectors, shape (m, 6): m is 3 without a moment, else 6. Moments are divided by
     `length_scale`, so that all are in newtons."""
     singular_values: Array
     """[m] lever of each direction, shape (m,)."""
-    is_told: NDArray[np.bool_]
-    """Which directions are told, shape (m,). The others must not be rendered."""
+    is_identified: NDArray[np.bool_]
+    """Which directions are identified, shape (m,). The others must not be rendered."""
     inverse: Array
     """Wrench per joint torque, shape (6, joints)."""
 
@@ -96,17 +96,20 @@ def compute_tip_wrench(
     singular = np.zeros((*J.shape[:-2], m))
     count = values.shape[-1]
     singular[..., :count] = values
-    is_told = singular >= smallest_lever
-    factors = np.where(is_told, 1.0 / np.where(is_told, singular, 1.0), 0.0)[..., None, :count]
+    is_identified = singular >= smallest_lever
+    factors = np.where(is_identified, 1.0 / np.where(is_identified, singular, 1.0), 0.0)
     inverse = np.zeros_like(J)
-    inverse[..., :m, :] = scale * ((left[..., :count] * factors) @ right[..., :count, :])
+    inverse[..., :m, :] = scale * (
+        (left[..., :count] * factors[..., None, :count]) @ right[..., :count, :]
+    )
     bounds = np.array(bound_product(inverse, *ends))
-    untold = np.linalg.norm(np.where(is_told[..., None, :], 0.0, left), axis=-1) > _AXIS_TOLERANCE
-    bounds[0, ..., :m][untold], bounds[1, ..., :m][untold] = -math.inf, math.inf
+    other_parts = np.where(is_identified[..., None, :], 0.0, left)
+    unidentified = np.linalg.norm(other_parts, axis=-1) > _AXIS_TOLERANCE
+    bounds[0, ..., :m][unidentified], bounds[1, ..., :m][unidentified] = -math.inf, math.inf
     directions = np.zeros((*J.shape[:-2], m, 6))
     directions[..., :m] = np.swapaxes(left, -1, -2)
     wrench = np.einsum("...ij,...j->...i", inverse, tau)
-    return TipWrench(wrench, bounds[0], bounds[1], directions, singular, is_told, inverse)
+    return TipWrench(wrench, bounds[0], bounds[1], directions, singular, is_identified, inverse)
 
 
 def bound_product(factors: Array, low: Array, high: Array) -> tuple[Array, Array]:

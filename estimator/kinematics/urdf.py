@@ -145,14 +145,14 @@ def _convert_inertial(inertial: Any) -> dict[str, Any]:
     """Return mass, centre and inertia of a link as arguments of `Joint`."""
     if inertial is None:
         return {}
-    origin, about = inertial.origin, inertial.inertia
+    origin, moments = inertial.origin, inertial.inertia
     offset = _to_offset(
         (origin and origin.xyz) or (0.0, 0.0, 0.0), (origin and origin.rpy) or (0.0, 0.0, 0.0)
     )
     inertia = np.zeros((3, 3))
-    if about is not None:
+    if moments is not None:
         turn = offset.to_matrix()[:3, :3]
-        inertia = turn @ np.array(about.to_matrix(), np.float64) @ turn.T
+        inertia = turn @ np.array(moments.to_matrix(), np.float64) @ turn.T
     return {
         "mass": float(inertial.mass or 0.0),
         "centre": offset.position,

@@ -308,7 +308,7 @@ def _fit_loops(
         ]
     except CalibrationError as error:
         raise CalibrationRefused(refusals.format_no_loop(pulled.name, str(error))) from error
-    best, loop = min(zip(calibrations, loops, strict=True), key=lambda one: one[0].K.uncertainty)
+    best, loop = min(zip(calibrations, loops, strict=True), key=lambda pair: pair[0].K.uncertainty)
     lowest = max(float(np.quantile(loop.tension, 0.01)), 1e-3 * best.T_peak.value)
     reach = 0.5 * math.log(best.T_peak.value / lowest)
     if best.K.value > reach - RESOLUTION_MARGIN:

@@ -247,15 +247,15 @@ def _compute_target(
     """
     motor = driven.motor
     wanted = driven.origin + requested + config.compensation * driven.stretch
-    least, most = motor + follow, motor
+    lowest, highest = motor + follow, motor
     if tendon.valid:
         error = config.slack_side_tension - tendon.tension
         if abs(error) > config.slack_side_band:
             error -= copysign(config.slack_side_band, error)
-            least += config.slack_side_gain * error * dt
-        most += config.limit_gain * (config.tension_max - tendon.tension) * dt
+            lowest += config.slack_side_gain * error * dt
+        highest += config.limit_gain * (config.tension_max - tendon.tension) * dt
     reach = config.speed_max * dt
-    bounded = min(max(wanted, least), most, motor + reach)
+    bounded = min(max(wanted, lowest), highest, motor + reach)
     return max(bounded, motor - reach) if isfinite(bounded) else motor
 
 

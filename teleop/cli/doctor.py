@@ -163,7 +163,7 @@ def check_serial_ports() -> Finding:
 def check_folders() -> Finding:
     """Check the folders of this user that a session writes to."""
     problems, is_essential = [], False
-    for find, variable, needed in (
+    for find, variable, is_needed in (
         (find_state_folder, "XDG_STATE_HOME", True),
         (lambda: Path(tempfile.gettempdir()), "TMPDIR", True),
         (find_config_folder, "XDG_CONFIG_HOME", False),
@@ -176,7 +176,7 @@ def check_folders() -> Finding:
             problem = "no folder of this user"
         if problem:
             problems.append(f"{problem} ({variable})")
-            is_essential |= needed
+            is_essential |= is_needed
     kept = None
     with suppress(OSError):  # no temporary folder
         kept = choose_folder()

@@ -156,8 +156,8 @@ def main(args: argparse.Namespace) -> int:
         chosen = [choose_tendon(n, tendons, joints, files) for n in joint]
         if not tendons:
             chosen = [
-                complete_tendon_model(one, rows, args.length)
-                for one, rows in zip(chosen, tables, strict=True)
+                complete_tendon_model(tendon_table, rows, args.length)
+                for tendon_table, rows in zip(chosen, tables, strict=True)
             ]
         tendon = chosen[joint.index(k)]
     clean = remove_spikes(table)

@@ -266,8 +266,8 @@ class _Builder:
         value, what = values[found["field"]], found["what"]
         for name in inner:
             value = value[int(name)] if isinstance(value, tuple) else getattr(value, name, None)
-        plain = isinstance(value, int | float | str | Path) and str(value) not in what
-        shown = f"{_format_value(value)}: " if plain else ""
+        shows_value = isinstance(value, int | float | str | Path) and str(value) not in what
+        shown = f"{_format_value(value)}: " if shows_value else ""
         return self.source.build_error((*keys, found["field"], *inner), shown + what)
 
     def build_value(

@@ -68,8 +68,8 @@ def _count_values(node: yaml.Node, counts: dict[yaml.Node, int | None]) -> int:
     if node not in counts:
         counts[node] = None
         parts = node.value if isinstance(node, yaml.CollectionNode) else ()
-        pairs = (one if isinstance(one, tuple) else (one,) for one in parts)
-        counts[node] = 1 + sum(_count_values(one, counts) for pair in pairs for one in pair)
+        pairs = (child if isinstance(child, tuple) else (child,) for child in parts)
+        counts[node] = 1 + sum(_count_values(child, counts) for pair in pairs for child in pair)
     count = counts[node]
     if count is None:
         problem = "an alias contains itself"

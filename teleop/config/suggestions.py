@@ -3,7 +3,9 @@
 from collections.abc import Iterable
 
 
-def suggest_spelling(word: str, allowed: Iterable[str], most: int = 1, cutoff: float = 0.6) -> str:
+def suggest_spelling(
+    word: str, allowed: Iterable[str], number: int = 1, cutoff: float = 0.6
+) -> str:
     """Return a hint to put behind an error, empty if no allowed word is close.
 
     Parameters
@@ -19,5 +21,5 @@ def suggest_spelling(word: str, allowed: Iterable[str], most: int = 1, cutoff: f
     """
     import difflib  # slow to import, and needed only for a mistake
 
-    close = difflib.get_close_matches(word, list(allowed), most, cutoff)
+    close = difflib.get_close_matches(word, list(allowed), number, cutoff)
     return f"; did you mean {' or '.join(map(repr, close))}?" if close else ""

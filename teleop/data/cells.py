@@ -38,14 +38,14 @@ def classify_word(cell: str) -> str:
     """Return what a cell without a number says: missing, overload, error; "" if nothing known."""
     text = cell.strip(BLANKS)
     word = text.lower()
-    bare = word.lstrip("+-") or word
+    digits = word.lstrip("+-") or word
     if (
         not word
-        or {word, bare, bare.strip("<>()[]").rstrip(".")} & _MISSING
-        or _NAN.fullmatch(bare)
+        or {word, digits, digits.strip("<>()[]").rstrip(".")} & _MISSING
+        or _NAN.fullmatch(digits)
     ):
         return "missing"
-    if bare in _OVERLOADS or not word.strip("*>"):  # Fortran fills a field that is too narrow
+    if digits in _OVERLOADS or not word.strip("*>"):  # Fortran fills a field that is too narrow
         return "overload"
     if word in ("#n/a", "#na"):
         return "missing"

@@ -192,12 +192,12 @@ def convert_to_si(
     zeros: dict[str, float] = {}
     for names, told_of in zip(columns, stated_units, strict=True):
         for item, name in names.items():
-            stated, told, zero = told_of[item][1].partition("zero ")
+            stated, unit_text, zero = told_of[item][1].partition("zero ")
             unit, factor = _find_unit_factor(
                 path, name, item, units, stated.rstrip(" ,"), row_units.get(name, "")
             )
-            zeros[name] = _parse_zero(path, name, zero) if told else 0.0
-            factors[name] = (f"{unit}, zero {zero}" if told else unit, factor)
+            zeros[name] = _parse_zero(path, name, zero) if unit_text else 0.0
+            factors[name] = (f"{unit}, zero {zero}" if unit_text else unit, factor)
     for name, (_, factor) in factors.items():
         if factor != 1.0 or zeros[name]:
             numbers[name] = factor * (numbers[name] - zeros[name])

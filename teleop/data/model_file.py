@@ -70,7 +70,7 @@ def from_diagnosis(diagnosis: Diagnosis) -> SavedModel:
             "closed_loop": record.loop,
             "law": str(base.law),
             "units": [record.units.effort, record.units.travel],
-            "parameters": {name: float(one.value) for name, one in diagnosis.parameters.items()},
+            "parameters": {k: float(number.value) for k, number in diagnosis.parameters.items()},
         }
     return SavedModel(
         model._replace(

@@ -228,11 +228,11 @@ def read_runs(
         if number_samples(path, raw, clock, numbers, mapping.rate_hz):
             told_of = f"times of {clock!r} are coarse, --rate counts"
             raw = replace(raw, remarks=(*raw.remarks, told_of))
-        for told in notes:
-            told["time"] = (clock, f"{1.0 / mapping.rate_hz!r} s")
+        for note in notes:
+            note["time"] = (clock, f"{1.0 / mapping.rate_hz!r} s")
     elif is_clocked:
-        for told in notes:
-            told["time"] = (clock, told["time"][1] or "s")
+        for note in notes:
+            note["time"] = (clock, note["time"][1] or "s")
     factors = convert_to_si(path, numbers, tables_columns, notes, raw.units, units)
     remarks = [*raw.remarks]
     remarks += [_describe_words(name, raw.words[name]) for name in numbers if name in raw.words]
@@ -334,10 +334,10 @@ def number_samples(
 def _describe_words(name: str, words: Mapping[str, int]) -> str:
     """Return which cells of a column are no numbers."""
     kinds = {"missing": "missing", "overload": "an overload: out of the range", "error": "an error"}
-    told = [f"{n} {w} ({kinds[classify_word(w)]})" for w, n in words.items() if w != THOUSANDS]
+    examples = [f"{n} {w} ({kinds[classify_word(w)]})" for w, n in words.items() if w != THOUSANDS]
     if n := words.get(THOUSANDS, 0):
-        told.append(f"{THOUSANDS} in {n} cells")
-    return f"column {name!r} has {', '.join(told)}"
+        examples.append(f"{THOUSANDS} in {n} cells")
+    return f"column {name!r} has {', '.join(examples)}"
 
 
 def _detect_file_units(

@@ -247,10 +247,10 @@ def _check_footer(path: Path) -> None:
         )
 
 
-def _check_parquet_size(path: Path, columns: int, about: Any) -> None:
+def _check_parquet_size(path: Path, columns: int, metadata: Any) -> None:
     """Raise `UsageError` for what is too large."""
-    bounds.check_size(path, columns, about.num_rows, "keep what is needed, or split it")
-    size = sum(about.row_group(k).total_byte_size for k in range(about.num_row_groups))
+    bounds.check_size(path, columns, metadata.num_rows, "keep what is needed, or split it")
+    size = sum(metadata.row_group(k).total_byte_size for k in range(metadata.num_row_groups))
     if size > bounds.TEXT_MAX:
         raise UsageError(
             f"{path}: unpacks to {size >> 20} MB, at most {bounds.TEXT_MAX >> 20} MB are read; "
@@ -370,8 +370,8 @@ def _write_csv(path: Path, columns: Mapping[str, Column]) -> None:
 
 def _write_csv_gz(path: Path, columns: Mapping[str, Column]) -> None:
     with (  # without name and date, so that equal data give equal bytes
-        path.open("wb") as plain,
-        gzip.GzipFile("", "wb", fileobj=plain, mtime=0) as packed,
+        path.open("wb") as raw_file,
+        gzip.GzipFile("", "wb", fileobj=raw_file, mtime=0) as packed,
         io.TextIOWrapper(packed, encoding="utf-8", newline="") as file,
     ):
         _write_rows(file, columns)

@@ -244,8 +244,9 @@ def _resplit_names(cells: Sequence[str], separator: str, width: int) -> list[str
     """Return names that are separated otherwise than the numbers, if that gives one a column."""
     text = separator.join(cells)
     for other in SEPARATORS:
-        bare = text.strip().lstrip("#%").strip() if other == " " else text
-        names = [clean_name(name) for name in next(split_rows([bare], other, strict=False), [])]
+        names_text = text.strip().lstrip("#%").strip() if other == " " else text
+        words: list[str] = next(split_rows([names_text], other, strict=False), [])
+        names = [clean_name(word) for word in words]
         if len(names) == width and all(names):
             return names
     return []
@@ -260,27 +261,27 @@ def _find_decimal(path: Path, rows: Sequence[Row], separator: str, mapping: Tabl
         return "," if mapping.decimal == "comma" else "."
     evidence: dict[str, Row] = {}
     other_groups = False  # thousands are separated by neither sign
-    plain: set[int] = set()
+    sole_signs: set[int] = set()
     open_cells: dict[int, tuple[int, str]] = {}  # by column: thousands, or three decimals
     for line, cells in rows:
         for k, cell in enumerate(cells):
             text = cell.strip(BLANKS)
             if text.isdigit():
-                plain.add(k)
+                sole_signs.add(k)
             other_groups |= _OTHER_GROUP.search(text) is not None
-            one = _ONE_SIGN.fullmatch(text)
+            match = _ONE_SIGN.fullmatch(text)
             if (
-                one
-                and re.fullmatch(r"[1-9]\d{0,2}", one[1])
-                and len(one[3]) == 3
+                match
+                and re.fullmatch(r"[1-9]\d{0,2}", match[1])
+                and len(match[3]) == 3
                 and "e" not in text
             ):
-                if one[2] == "," or separator != ",":
+                if match[2] == "," or separator != ",":
                     open_cells.setdefault(k, (line, text))
                 else:
                     evidence.setdefault(".", (line, [text]))
-            elif one:
-                evidence.setdefault(one[2], (line, [text]))
+            elif match:
+                evidence.setdefault(match[2], (line, [text]))
             else:  # with thousands separators, which one of both signs explains
                 signs = [sign for sign, form in NUMBERS.items() if form.fullmatch(text)]
                 if len(signs) == 1 and {",", "."} & set(text):
@@ -296,7 +297,7 @@ def _find_decimal(path: Path, rows: Sequence[Row], separator: str, mapping: Tabl
         return open_signs.pop()
     for k, (line, text) in open_cells.items():
         sign = text.strip("+-0123456789")[0]
-        if sign not in evidence and (not evidence or k not in plain):
+        if sign not in evidence and (not evidence or k not in sole_signs):
             raise UsageError(
                 f"{path}: line {line}: is {text!r} a number of thousands, or one with three "
                 "decimals? Say --decimal point or --decimal comma"

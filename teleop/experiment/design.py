@@ -316,10 +316,10 @@ class Design:
                 each.name: getattr(procedure, each.name)
                 for each in dataclasses.fields(procedure)  # type: ignore[arg-type]
             }
-            plain = {
+            settings = {
                 k: v if isinstance(v, str) else np.asarray(v).tolist() for k, v in values.items()
             }
-            description["procedure"] = {"type": type(procedure).__name__, **plain}
+            description["procedure"] = {"type": type(procedure).__name__, **settings}
         return description
 
     def begin(self, participant: int) -> "TrialSequence":

@@ -236,14 +236,14 @@ def _decode_config(scan: Scan, head: Mapping[str, str]) -> RecordedConfig:
         for name, data in scan.attachments.items()
         if name.startswith(FILE_PREFIX)
     }
-    for part, size, most in (
+    for part, size, size_max in (
         ("config", len(config), SIZE_MAX),
         ("overrides", len(overrides.encode()), SIZE_MAX),
         ("files", sum(map(len, files.values())), FILES_SIZE_MAX),
     ):
-        if size > most:
+        if size > size_max:
             raise RecordingError(
-                f"{scan.path}: its {part}: {size} bytes, at most {most} are read; no session "
+                f"{scan.path}: its {part}: {size} bytes, at most {size_max} are read; no session "
                 "has so many"
             )
     text = config.decode(errors="replace")

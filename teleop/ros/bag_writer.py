@@ -112,8 +112,8 @@ class BagWriter:
             "storage_identifier": "mcap",
             **span,
             "topics_with_message_count": [
-                {"topic_metadata": about, "message_count": self.counts[topic]}
-                for topic, about in self._topics.items()
+                {"topic_metadata": metadata, "message_count": self.counts[topic]}
+                for topic, metadata in self._topics.items()
             ],
             "compression_format": "",
             "compression_mode": "",

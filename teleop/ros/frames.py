@@ -42,9 +42,9 @@ def build_sheath_frames(sheaths: Mapping[int, Sheath], stamp_ns: int, prefix: st
 
     for tendon in sorted(sheaths):
         sheath, name = sheaths[tendon], f"sheath_{tendon + 1}"
-        beside = np.eye(4)
-        beside[1, 3] = HOUSING_SPACING_M * tendon
-        add("housing", f"{name}_housing", beside)
+        offset = np.eye(4)
+        offset[1, 3] = HOUSING_SPACING_M * tendon
+        add("housing", f"{name}_housing", offset)
         add(f"{name}_housing", f"{name}_tip", compute_tip_pose(sheath))
         if sheath.joint not in added:
             added.add(sheath.joint)

@@ -51,9 +51,9 @@ class RosNode:
         """
 
         def on_sample(data: bytes, attachment: bytes) -> None:
-            about = graph.parse_attachment(attachment)
-            if about is not None:
-                _, sent_ns, publisher = about
+            sender = graph.parse_attachment(attachment)
+            if sender is not None:
+                _, sent_ns, publisher = sender
                 receive(data, publisher, sent_ns)
 
         self._session.subscribe(

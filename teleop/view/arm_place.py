@@ -136,12 +136,12 @@ class ArmPlace:
         -------
         array, shape (n, 3, 2, 3)
         """
-        told = forces.axis_shares >= AXIS_SHARE_MIN
+        is_identified = forces.axis_shares >= AXIS_SHARE_MIN
         ends = np.repeat(forces.force[:, None, None], 3, axis=1).repeat(2, axis=2)
         for k in range(3):
             for side, end in enumerate((forces.low, forces.high)):
                 bounded = np.clip(end[:, k], -limit, limit)
-                ends[:, k, side, k] = np.where(told[:, k], bounded, forces.force[:, k])
+                ends[:, k, side, k] = np.where(is_identified[:, k], bounded, forces.force[:, k])
         lines: Array = tips[:, None, None] + length * ends @ self.rotation.T
         return lines
 

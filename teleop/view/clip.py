@@ -304,11 +304,16 @@ def _write_gif(path: Path, frames: Iterator[NDArray[np.uint8]], fps: float, pale
     """Write an animation with one palette, so that no colour flickers."""
     from PIL import Image
 
-    plain = (
+    palette_frames = (
         _to_image(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames
     )
-    next(plain).save(
-        path, format="gif", save_all=True, append_images=plain, duration=1000.0 / fps, loop=0
+    next(palette_frames).save(
+        path,
+        format="gif",
+        save_all=True,
+        append_images=palette_frames,
+        duration=1000.0 / fps,
+        loop=0,
     )
 
 

@@ -177,8 +177,8 @@ class _Handler(GuardedHandler):
         if not mask or len(content) < size:
             return _CLOSE, b""
         key = (mask * (size // 4 + 1))[:size]
-        plain = int.from_bytes(content) ^ int.from_bytes(key)
-        return first & 0x0F, plain.to_bytes(size)
+        unmasked = int.from_bytes(content) ^ int.from_bytes(key)
+        return first & 0x0F, unmasked.to_bytes(size)
 
     def _read_bytes(self, size: int) -> bytes:
         """Return as many bytes; none if the client has gone."""

@@ -84,10 +84,10 @@ def _draw_scale(sender: Sender, foot: Array, up: Array, top: float) -> None:
         vertex_colors=np.tile(to_rgba(levels * top, top), 2),
     )
     sender.send_static("scene/legend/scale", bar)
-    beside = np.array([0.13 * tall, 0.0, 0.0])
+    offset = np.array([0.13 * tall, 0.0, 0.0])
     marks = compute_ticks_to_end(top)
     words = rr.Points3D(
-        [foot + value / top * up + beside for value in marks],
+        [foot + value / top * up + offset for value in marks],
         labels=[f"{value:g}" for value in marks],
         colors=0xC0C0C0FF,
         radii=1e-6,

@@ -80,16 +80,16 @@ class Arms(Painter):
     def _draw_arms(self, rows: Rows) -> None:
         for path, place, known in self._select_known(rows):
             lines = place.build_lines(known["position"])
-            count, one = len(known), np.ones(len(known), dtype=np.int64)
+            count, ones = len(known), np.ones(len(known), dtype=np.int64)
             strips = [strip for k in range(count) for strip in (lines.links[k], *lines.jaws[k])]
-            parts = build_columns(rr.LineStrips3D, one * (1 + lines.jaws.shape[1]), strips=strips)
+            parts = build_columns(rr.LineStrips3D, ones * (1 + lines.jaws.shape[1]), strips=strips)
             if lines.joints.shape[1]:
                 at = lines.joints.reshape(-1, 3)
-                parts += build_columns(rr.Points3D, one * lines.joints.shape[1], positions=at)
+                parts += build_columns(rr.Points3D, ones * lines.joints.shape[1], positions=at)
             self._sender.send_columns(f"{path}/links", known, parts)
             tendons = [each[k] for k in range(count) for each in lines.tendons]
             strips_of_tendons = build_columns(
-                rr.LineStrips3D, one * len(lines.tendons), strips=tendons
+                rr.LineStrips3D, ones * len(lines.tendons), strips=tendons
             )
             self._sender.send_columns(f"{path}/tendons", known, strips_of_tendons)
             self._draw_force(path, place, known, lines.tip)

@@ -146,8 +146,8 @@ class Lever:
     @property
     def aslant(self) -> Array:
         """From the far end to what stands beside it, across the plane [m]."""
-        beside: Array = 0.12 * self.length * np.cross(self.along, self.aside)
-        return beside
+        offset: Array = 0.12 * self.length * np.cross(self.along, self.aside)
+        return offset
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,8 +169,8 @@ def build_stage(
     shapes: Mapping[int, Shape], config: ViewConfig, arms: Sequence[SpaceArm] = ()
 ) -> Stage:
     """Return the positions of sheaths, joints, arms in space and hands."""
-    bare = _build_centrelines(shapes, config)
-    cloud = np.concatenate([line.points for line in bare.values()])
+    straight = _build_centrelines(shapes, config)
+    cloud = np.concatenate([line.points for line in straight.values()])
     size = float(np.ptp(cloud, axis=0).max())
     across = _find_least_extent_axis(cloud)
     lines: dict[int, Array] = {}
@@ -186,10 +186,10 @@ def build_stage(
         spacing = config.tendon_spacing * (1.0 if arm is None else _ARM_SPACING)
         cell = cells.setdefault(first, [])
         for tendon in own:
-            lines[tendon] = bare[tendon].points + len(cell) * spacing * size * across
+            lines[tendon] = straight[tendon].points + len(cell) * spacing * size * across
             cell.append(tendon)
         if arm is None:
-            ends = [(lines[tendon][-1], bare[tendon].along, bare[tendon].aside) for tendon in own]
+            ends = [(lines[t][-1], straight[t].along, straight[t].aside) for t in own]
             levers[joint] = _build_joint_lever(ends, size, config)
         if arm is None or arm.hand is None:
             hands[joint] = _build_hand_lever([lines[tendon][0] for tendon in own], size, config)
@@ -200,7 +200,7 @@ def build_stage(
             places[first] = build_arm_place(
                 arm,
                 {tendon: shapes[tendon].joint - first for tendon in cell},
-                {t: (lines[t][-1], bare[t].along, bare[t].aside) for t in cell},
+                {t: (lines[t][-1], straight[t].along, straight[t].aside) for t in cell},
                 np.mean([lines[tendon][0] for tendon in cell], axis=0),
                 size,
                 config.hand_radius_m,

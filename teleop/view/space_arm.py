@@ -60,9 +60,9 @@ class TipForces(NamedTuple):
 
     def list_components(self) -> list[tuple[Array, Array, Array]]:
         """Return force, low and high end of x, y and z, each shape (n,); NaN where not told."""
-        told = self.axis_shares >= AXIS_SHARE_MIN
+        is_identified = self.axis_shares >= AXIS_SHARE_MIN
         force, low, high = (
-            np.where(told, part, np.nan) for part in (self.force, self.low, self.high)
+            np.where(is_identified, part, np.nan) for part in (self.force, self.low, self.high)
         )
         return [(force[:, k], low[:, k], high[:, k]) for k in range(3)]
 
@@ -181,8 +181,8 @@ def solve_tip_forces(
     m] or [N], shape (n, coordinates), is that of the environment on the joints.
     """
     found = compute_tip_wrench(jacobians, torque, torque_low, torque_high)
-    told = found.directions[:, :, :3] * found.is_told[:, :, None]
-    shares, directions = np.linalg.eigh(np.swapaxes(told, 1, 2) @ told)
+    identified = found.directions[:, :, :3] * found.is_identified[:, :, None]
+    shares, directions = np.linalg.eigh(np.swapaxes(identified, 1, 2) @ identified)
     kept = directions * (shares >= _TOLD_SHARE_MIN)[:, None]
     projector = kept @ np.swapaxes(kept, 1, 2)
     inverse = projector @ found.inverse[:, :3]

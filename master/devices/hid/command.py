@@ -159,17 +159,17 @@ def format_nodes(items: Sequence[AttachedNode]) -> list[str]:
         return [f"no HID device attached{'; ' * bool(hint)}{hint}", *arms]
     rows = [("path", "model", "driver", "may be opened", "serial", "name")]
     examined = [search.examine_node(item) for item in items]
-    for one in examined:
-        item, driver = one.item, next(iter(one.fits), "-")
-        allowed = "no: teleop devices rules" if one.not_ready_reason else "yes"
+    for node in examined:
+        item, driver = node.item, next(iter(node.fits), "-")
+        allowed = "no: teleop devices rules" if node.not_ready_reason else "yes"
         rows.append((item.path, item.model, driver, allowed, item.serial, item.name))
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     table = [
         "  ".join(word.ljust(width) for word, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
     ]
-    advice = [f"{one.item.path}: {one.advice}" for one in examined if one.advice]
-    users = [search.find_other_users(one.item) for one in examined if one.fits]
+    advice = [f"{node.item.path}: {node.advice}" for node in examined if node.advice]
+    users = [search.find_other_users(node.item) for node in examined if node.fits]
     return [*table, *advice, *filter(None, users), *arms]
 
 

@@ -299,7 +299,7 @@ class HidDevice:
                 f"{device.item}: was unplugged together with a device of the same identity, which "
                 "cannot be distinguished; restart the master"
             )
-        reattached += [search.find_reattached_device(one, paths_before) for one in switches]
+        reattached += [search.find_reattached_device(switch, paths_before) for switch in switches]
         return OpenedDevice(self._config, self._signs, tuple(reattached))
 
     def _get_reopened(self) -> OpenedDevice:

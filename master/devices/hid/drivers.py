@@ -200,9 +200,9 @@ def format_rules(other_models: Iterable[tuple[int, int | None, str]] = ()) -> st
 
     Only the user logged in at the machine may open these devices (`uaccess`).
     """
-    models = {one[:2]: one for one in KNOWN_MODELS}
-    for one in other_models:
-        models.setdefault(one[:2], one)
+    models = {model[:2]: model for model in KNOWN_MODELS}
+    for model in other_models:
+        models.setdefault(model[:2], model)
     lines = [
         "# Haptic devices that the user at this machine may open (tendon-teleop).",
         "# sudo udevadm control --reload , then plug the device in again",

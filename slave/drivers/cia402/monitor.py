@@ -143,10 +143,10 @@ def find_interface_fault(interface: dict[str, Any], bus: BusConfig) -> str:
     name, up = bus.channel, f"sudo ip link set {bus.channel} up"
     if "UP" not in interface.get("flags", ["UP"]):
         return f"is down: {up} type can bitrate {bus.bitrate}"
-    about = interface.get("linkinfo", {}).get("info_data", {})
-    if about.get("state") == "BUS-OFF":
+    link_info = interface.get("linkinfo", {}).get("info_data", {})
+    if link_info.get("state") == "BUS-OFF":
         return f"{BUS_OFF_TEXT}; then: sudo ip link set {name} down; {up}"
-    bitrate = about.get("bittiming", {}).get("bitrate", bus.bitrate)
+    bitrate = link_info.get("bittiming", {}).get("bitrate", bus.bitrate)
     if bitrate != bus.bitrate:
         return (
             f"runs at {bitrate} bit/s, bus.bitrate is {bus.bitrate}: correct that, or: "

@@ -23,7 +23,7 @@ def test_a_force_in_the_plane_of_the_arm_is_found_and_that_across_is_not_told():
     tau = J.T @ force
     found = compute_tip_wrench(J, tau, tau - 0.01, tau + 0.01)
     np.testing.assert_allclose(found.wrench, force, atol=1e-12)
-    assert found.is_told.tolist() == [True, True, False]
+    assert found.is_identified.tolist() == [True, True, False]
     assert np.abs(found.directions[2] @ [0, 0, 1, 0, 0, 0]) == pytest.approx(1.0)
     assert np.isinf([found.low[2], found.high[2]]).all()
     rng = np.random.default_rng(0)
@@ -37,7 +37,7 @@ def test_along_a_stretched_arm_no_force_is_told():
     J = planar_jacobian(np.array([0.1, 0.08]), np.array([0.0, 1e-4]))
     tau = np.array([0.1, 0.05])
     found = compute_tip_wrench(J, tau, tau, tau)
-    assert found.is_told.tolist() == [True, False, False]
+    assert found.is_identified.tolist() == [True, False, False]
     assert abs(found.wrench[0]) < 0.01  # not 0.05 N m over a lever of 10 um
     assert np.isinf(found.low[0])
 
@@ -50,4 +50,4 @@ def test_six_joints_tell_the_moment_whatever_the_length_scale():
     for scale in (0.02, 0.2):
         found = compute_tip_wrench(J, tau, tau, tau, length_scale=scale, smallest_lever=1e-6)
         np.testing.assert_allclose(found.wrench, wrench, atol=1e-9)
-        assert found.is_told.all()
+        assert found.is_identified.all()
