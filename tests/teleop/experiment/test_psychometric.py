@@ -41,7 +41,7 @@ def simulate(procedure, seed, spreads=(8.0, 25.0)):
 @pytest.mark.parametrize(
     ("name", "observers"),
     [
-        *(("staircase", 8), ("bayesian 30", 8)),
+        ("bayesian 30", 8),
         *(pytest.param(name, 200, marks=pytest.mark.slow) for name in PROCEDURES),
     ],
 )
