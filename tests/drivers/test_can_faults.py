@@ -124,6 +124,15 @@ def test_two_nodes_of_one_number_are_named_by_every_command(drives, monkeypatch)
             driver.start()
 
 
+def test_an_answer_of_another_object_is_named_as_one_of_two_nodes_or_programs(drives):
+    drives.answer = lambda message: (
+        message.arbitration_id == 0x601
+        and (drives.send(0x581, bytes.fromhex("4b41600037020000")) or True)
+    )
+    said = start_error(drives.port_name)
+    assert "object 1000:0: an answer to another request came: another program speaks to it" in said
+
+
 def test_an_answer_that_comes_too_late_is_named(drives):
     def delay(message):
         if message.arbitration_id == 0x601:
@@ -160,6 +169,15 @@ def test_a_mapping_that_is_refused_is_named_by_its_object_and_bits(drives):
         "drive 1 object 1A00:2 = 6064:0, 32 bits: Code 0x06040041, Object cannot be mapped to the "
         "PDO: its mapping is fixed: choose a mapping with these objects by its own tool"
     )
+
+
+def test_an_emergency_ends_reading_too(drives):
+    with reader(drives.port_name) as opened:
+        opened.start()
+        opened.run_cycle(None)
+        drives.send(0x81, bytes.fromhex("2082") + bytes(6))
+        with pytest.raises(DriverFault, match=r"^drive 1 reports: PDO length exceeded.*0x8220"):
+            cycle_on(opened)
 
 
 class Adapter:
@@ -229,6 +247,14 @@ def test_silence_is_explained_by_what_else_is_heard(frames, said):
     for each in frames:
         monitor.on_message_received(each)
     assert said in monitor.explain_silence(1, 0.3)
+
+
+def test_errors_of_the_bus_are_forgotten_once_all_have_answered():
+    monitor = BusMonitor(BusConfig())
+    monitor.on_message_received(frame(0x68, bytes(8), True))
+    assert monitor.explain_errors()
+    monitor.forget_errors()
+    assert monitor.explain_errors() == ""
 
 
 LINK = json.loads(  # of `ip -details -json link show dev can0`, iproute2 6.1

@@ -156,6 +156,13 @@ def test_a_drive_may_be_guarded_in_place_of_hearing_our_heartbeat(drives):
         read_for(rig, 5.0)
 
 
+def test_guarding_takes_its_share_of_the_bus():
+    rates = {"rate_hz": 500.0, "bus": BusConfig(channel="none")}
+    Cia402Config(**rates).require_load(7, 7, 7)
+    with pytest.raises(ValueError, match="the bus would be"):
+        Cia402Config(**rates, error_control="guarding").require_load(7, 7, 7)
+
+
 @pytest.mark.parametrize(
     ("state", "disable_s"), [(ENABLED, 0.2), pytest.param(QUICK_STOP, 0.0, marks=SLOW)]
 )
@@ -200,6 +207,15 @@ def test_a_value_that_the_drive_changes_is_refused(drives):
         opened_on(drives),
     ):
         pass
+
+
+@SLOW
+@pytest.mark.parametrize(("rate_hz", "written"), [(50.0, (20, -3)), (800.0, (125, -5))])
+def test_the_interpolation_period_is_that_of_sync(drives, rate_hz, written):
+    od = drives.drives[0].od
+    with opened_on(drives, count=1, rate_hz=rate_hz):
+        assert (od.read(0x60C2, 1), od.read(0x60C2, 2)) == written
+    assert written[0] * 10.0 ** written[1] == pytest.approx(1.0 / rate_hz, rel=1e-12)
 
 
 @pytest.mark.parametrize(("rate_hz", "nearest"), [(300.0, 303.03), (1600.0, 1587.3)])

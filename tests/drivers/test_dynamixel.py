@@ -193,6 +193,18 @@ def test_a_failure_of_a_servo_is_named(servos, register, size, value, said):
             read_for(rig, 5.0)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["lose", "damage"])
+def test_some_bad_answers_cost_their_samples_and_many_are_a_fault(servos, name):
+    with opened_on(servos) as rig:
+        engage(rig, moving(servos))
+        setattr(servos, name, 3)
+        read_some(rig)
+        setattr(servos, name, 100_000)
+        with pytest.raises(RigFault, match="no answer" if name == "lose" else "answer for"):
+            read_for(rig, 5.0)
+
+
 def test_an_unplugged_adapter_is_named(servos):
     with opened_on(servos) as rig:
         engage(rig, moving(servos))

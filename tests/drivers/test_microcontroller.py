@@ -182,6 +182,19 @@ def test_a_board_with_another_watchdog_than_asked_for_is_refused(board, monkeypa
         driver.close()
 
 
+@pytest.mark.slow
+def test_a_few_damaged_frames_cost_their_samples_and_nothing_else(board):
+    with opened_on(board) as rig:
+        engage(rig, moving(board))
+        board.flip = 3
+
+        def bad():
+            return rig.summary().get("motors_bad_frames") == 3
+
+        read_for(rig, 5.0, [0.0, 0.0], until=bad)
+        assert bad()
+
+
 @pytest.mark.parametrize("read_only", [False, True])
 def test_a_board_that_says_nothing_is_asked_for_its_firmware(monkeypatch, read_only):
     for name in ("GREETING_S", "LISTEN_S"):

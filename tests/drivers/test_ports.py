@@ -85,6 +85,12 @@ def test_adapters_without_serial_numbers_are_told_apart_by_their_sockets(plug, t
     ports.require_lasting_name(str(serial / "by-id/usb-FTDI-A1"))
 
 
+def test_without_udev_the_device_file_is_listed_and_used(plug):
+    port = plug("ttyACM0")  # docker run --device
+    ports.require_lasting_name(port)
+    assert list(ports.describe_interfaces()) == [port]
+
+
 def test_a_scan_lists_each_port_with_what_keeps_it_from_being_used(plug, monkeypatch, capsys):
     slow, barred = plug("ttyUSB0", "usb-A", latency_ms=16), plug("ttyUSB1", "usb-B")
     monkeypatch.setattr(os, "access", lambda path, _mode: path != barred)

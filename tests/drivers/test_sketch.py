@@ -70,6 +70,13 @@ def test_a_thousand_states_come_each_second_with_a_reading_of_their_own(sketch):
     assert np.diff(cells).max() <= 2  # no reading is older than two milliseconds
 
 
+def test_without_a_converter_it_says_so(sketch):
+    sketch.lib.sketch_setup()
+    sketch.run(0.05)
+    sketch.lib.sketch_unplug_converter()
+    assert states(sketch.run(0.05))[-1].flags & BoardFlags.CELL_FAULT
+
+
 def test_a_motor_is_driven_towards_its_target_and_off_without_one(sketch):
     def power():
         return sketch.lib.sketch_power(*MOTOR)

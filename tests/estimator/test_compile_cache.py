@@ -32,6 +32,14 @@ def no_home():
     raise RuntimeError("Could not determine home directory.")
 
 
+def test_without_a_home_there_is_a_private_folder(unnamed, monkeypatch):
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr(Path, "home", no_home)
+    folder = compile_cache.choose_folder()
+    assert folder.parent == unnamed
+    assert folder.stat().st_mode & 0o077 == 0
+
+
 def open_to_all(place):
     place.chmod(0o777)
     return f"other users can write {place}; "

@@ -122,6 +122,14 @@ def test_damaged_files_are_compiled_again(run, tmp_path):
     assert run() != expected  # found again
 
 
+def test_a_type_that_has_moved_to_another_file_is_compiled_again(run):
+    first = run()
+    imports = ("from records", "from pairs")
+    moved = {"pairs": ("", FILES["records"]), "records": (FILES["records"], "")}
+    assert run(**moved, outer=imports, program=imports)[0].startswith("4.0 10.0 ")
+    assert first[0].startswith("4.0 10.0 ")
+
+
 def test_what_was_not_used_for_long_is_deleted(tmp_path):
     for name, age_s in (("old", KEPT_S + 60.0), ("new", KEPT_S - 60.0), ("folder", 2.0 * KEPT_S)):
         path = tmp_path / name

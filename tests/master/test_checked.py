@@ -122,3 +122,13 @@ def test_a_device_whose_axes_are_no_joints_is_named_and_closed(axes):
     with pytest.raises(UsageError, match=said):
         open_device(PenConfig(device=pen))
     assert pen.closed == 1
+
+
+@pytest.mark.parametrize("axes", [0, 6])
+def test_devices_that_have_more_axes_together_than_joints_are_named_and_closed(axes):
+    pens = [Pen(None, 3), Pen(None, axes)]
+    config = CombinedConfig(devices=tuple(PenConfig(device=pen) for pen in pens))
+    said = rf"^master\.device: devices\.1: mylab has {axes} axes, must be 1 to 5$"
+    with pytest.raises(UsageError, match=said):
+        open_device(config)
+    assert [pen.closed for pen in pens] == [1, 1]

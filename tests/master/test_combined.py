@@ -282,3 +282,16 @@ def test_two_alike_that_were_lost_together_are_not_mixed_up(hidraw, returning):
         hidraw.plug(arduino())
     assert wait_for_condition(lambda: "identity" in lost(device), 30.0)
     device.close()
+
+
+def test_a_loss_that_was_not_noticed_yet_is_a_loss(hidraw):
+    """The one that is missing may have come back in the place of the other."""
+    nodes = [hidraw.plug(arduino()) for _ in range(2)]
+    first, second = (HidDevice(hid(str(node.path)), lambda _line: None) for node in nodes)
+    for node in nodes:
+        hidraw.unplug(node)
+    lost(first)  # nobody reads the second
+    hidraw.plug(arduino())
+    assert wait_for_condition(lambda: "identity" in lost(first), 30.0)
+    first.close()
+    second.close()

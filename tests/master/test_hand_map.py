@@ -146,6 +146,17 @@ def test_a_joint_comes_to_its_limit_without_a_step_of_the_force():
     assert np.abs(np.diff(trembling, axis=0)).max() < 0.02 * np.abs(felt).max()
 
 
+def test_each_axis_of_a_hand_has_a_scale_and_a_dead_band():
+    hand = SpaceHandConfig(axes=("x", "y", "z"), scales=(-0.5, 1.0, 2.0), dead_bands=(0, 0.01, 0))
+    run = SpaceRun(hand)
+    run.tick(np.zeros(3))
+    start = run.tip
+    for share in np.linspace(0.0, 1.0, 500):
+        matrix, _ = run.tick(np.array([0.02, 0.009, 0.01]) * share)
+    assert run.tip - start == pytest.approx(SCALE * np.array([-0.01, 0.0, 0.02]), abs=2e-5)
+    assert not matrix[:, 1].any()  # no force where nothing moves
+
+
 def test_nothing_moves_while_not_engaged_and_nothing_jumps_after():
     run = SpaceRun()
     for share in np.linspace(0.0, 1.0, 50):
@@ -157,6 +168,14 @@ def test_nothing_moves_while_not_engaged_and_nothing_jumps_after():
         assert not moved.any()
     run.tick(np.full(4, -0.03))
     assert run.tip == pytest.approx(tip, abs=1e-9)
+
+
+def test_locked_axes_and_missing_rotations_move_nothing():
+    run = SpaceRun(SpaceHandConfig(axes=("x", "y", "z"), lock=("y",)))
+    start = run.tip
+    for share in np.linspace(0.0, 1.0, 200):
+        run.tick(np.array([0.0, 0.05, 0.0]) * share)
+    assert run.tip == pytest.approx(start, abs=1e-12)
 
 
 @given(
@@ -188,6 +207,20 @@ def test_axes_are_mapped_with_their_slopes(joint, way):
         lever = LEVER if joint.turns else 1.0  # a torque counts as a force at it
         assert move(x)[1] * lever == pytest.approx(slope, abs=1e-4)
     assert move(0.0)[0] == 0.0
+
+
+def test_the_force_of_a_mapped_axis_ends_with_its_range_without_a_step():
+    joint = MappedJointConfig(axis=0, range=(-0.02, 0.03))
+    mapper = AxisMapper(AxisMapConfig(joints=(joint,)), LEVER)
+    hands, gains, travels = HandInput.array(), [], []
+    for x in np.linspace(-0.04, 0.04, 801):
+        fill_hand_input(hands, HandState((x,), (0.0,), True))
+        mapper.step(hands, hands, 1.0, DT)
+        gains.append(mapper.maps["matrix"][0, 0, 0])
+        travels.append(mapper.mapped_hands["position"][0, 0])
+    assert np.abs(np.diff(gains)).max() < 0.06  # of 1, in a tenth of a millimetre
+    assert (min(gains), max(gains)) == (0.0, 1.0)
+    assert (travels[0], travels[-1]) == pytest.approx((-0.019, 0.0285))
 
 
 matrices = st.lists(st.floats(-2.0, 2.0), min_size=12, max_size=12)

@@ -112,3 +112,17 @@ def test_a_press_of_a_button_changes_its_scale_once_and_within_bounds(key, less,
     state, _ = live_settings.apply_buttons(state, buttons())
     assert live_settings.apply_buttons(state, buttons(less, more))[1] == ""
     assert live_settings.apply_buttons(state, None)[1] == ""
+
+
+def test_a_press_of_a_button_of_each_scale_at_once_changes_both_and_no_force_jumps():
+    before = MasterConfig()
+    state, words = live_settings.apply_buttons(
+        live_settings.init_settings(before), buttons("coarser", "weaker")
+    )
+    assert words == "operator.position_scale = 0.353553, force.scale = 0.141421"
+    soon = live_settings.advance_ramp(state, 1e-3).config.force.scale
+    assert 0.99 * before.force.scale < soon < before.force.scale
+    away, _ = live_settings.apply_buttons(state, None)
+    assert (
+        live_settings.apply_buttons(away, buttons("coarser", "weaker"))[1] == ""
+    )  # the same press, still

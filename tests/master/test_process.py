@@ -225,6 +225,21 @@ def test_on_a_link_that_is_always_late_no_time_is_spent_waiting_but_now_and_then
     assert len(line.waited) >= before + 10  # they are waited for again
 
 
+@pytest.mark.parametrize(
+    ("joints", "said"),
+    [
+        (3, ["WARNING: the device has 1 axes, the rig 3 joints: joints from 2 on are not moved"]),
+        (1, []),
+    ],
+)
+def test_axes_and_joints_that_do_not_match_are_told_once(joints, said):
+    line = ObedientLink()
+    line.told = {"joints": joints}
+    driven(Stylus(), line, ticks=130, rate_hz=100.0)
+    texts = [decode_text(event.text) for event in line.of(EVENT)]
+    assert [text for text in texts if text.startswith("WARNING: the device")] == said
+
+
 @pytest.mark.parametrize("fails", ["read_fails_at", "write_fails_at"])
 def test_a_device_that_fails_ends_the_session_in_fault_and_without_force(fails):
     device = Stylus(**{fails: 20})

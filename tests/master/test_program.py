@@ -170,6 +170,27 @@ def test_a_flood_of_commands_does_not_hold_a_tick_up_and_none_is_lost(ends):
     assert (hand.engage, hand.position[0]) == (False, pytest.approx(0.1999))
 
 
+def test_commands_that_come_in_bursts_move_the_hand_steadily(ends):
+    """A program that reads states in blocks of 0.1 s moves once for each of them."""
+    operator, device = ends
+    operator.engage()
+    device.read(0.0)
+    device.read(0.001)
+    now_ns, places = time.monotonic_ns(), []
+    for burst in range(6):
+        for k in range(100):
+            sent_ns = now_ns + burst * 100_000_000 + k * 10_000
+            place = 0.03 * (burst * 100 + k + 1) * 1e-3
+            record = CommandRecord(sent_ns, sent_ns, 100 * burst + k + 2, 1, "", (place, 0.0))
+            operator._socket.send(record.pack())
+        for tick in range(100):
+            hand = device.read(0.1 * burst + 0.001 * tick + 0.002)
+            places.append(hand.position[0])
+    speeds = [(b - a) / 0.001 for a, b in itertools.pairwise(places[100:])]
+    assert max(speeds) < 0.04  # 0.03 m/s was asked for
+    assert sum(speed < 0.001 for speed in speeds) < 0.1 * len(speeds)
+
+
 def test_a_master_that_has_ended_is_noticed(ends):
     operator, device = ends
     device.close()

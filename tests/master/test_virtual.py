@@ -53,6 +53,16 @@ def test_the_hand_moves_as_its_equation_says():
     assert np.abs(np.array(trace) - truth).max() < 1e-4  # of 20 mm travel, 5 mm deflection
 
 
+def test_the_way_of_the_hand_does_not_hang_on_how_often_it_is_read():
+    often, seldom = (VirtualDevice(VirtualConfig()) for _ in range(2))
+    for tick in range(1, 401):
+        often.write((2.0,))
+        hand = often.read(tick * 1e-3)
+        if tick % 10 == 0:
+            seldom.write((2.0,))
+            assert seldom.read(tick * 1e-3).position == pytest.approx(hand.position, abs=1e-9)
+
+
 @given(
     st.floats(0.001, 10.0),
     st.floats(0.0, 1e5),
@@ -97,3 +107,11 @@ def test_engage_follows_the_script():
 def test_what_the_gate_would_never_send_is_a_fault(force):
     with pytest.raises(DeviceFault):
         VirtualDevice(VirtualConfig()).write(force)
+
+
+def test_closing_lets_go():
+    device = VirtualDevice(VirtualConfig())
+    device.write((1.0,))
+    device.read(0.001)
+    device.close()
+    assert device.applied == (0.0,)

@@ -132,6 +132,14 @@ def test_a_lost_sample_of_one_tendon_does_not_make_the_estimate_of_the_other_jum
     assert np.ptp(T_out) > 0.0
 
 
+def test_models_are_left_as_they_were_where_it_is_off():
+    slave = started(AdaptationConfig())
+    before = slave.prepared.tobytes()
+    run(slave, pulls(0.0, 1.0))
+    assert slave.adapter is None
+    assert slave.prepared.tobytes() == before
+
+
 def test_what_it_is_not_for_is_refused():
     config = SlaveConfig(adaptation=ON)
     config.check_arms(())

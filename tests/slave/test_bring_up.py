@@ -11,6 +11,7 @@ from slave.bring_up.rig_check import (
     GatedRig,
     MotorMove,
     evaluate_move,
+    format_rest_measurement,
     measure_at_rest,
     move_motor,
 )
@@ -119,6 +120,15 @@ def test_a_rig_that_falls_silent_before_its_motors_are_enabled_is_named():
     rest = measure_at_rest(Wired(), ticks, 0, 0.5)
     with pytest.raises(TeleopError, match=r"no tension and travel of every tendon for 0\.5 s"):
         GatedRig(rig, GateConfig(), ticks, 0, rest).enable()
+    assert rig.writes == []
+
+
+def test_at_rest_rate_and_noise_are_told_and_nothing_is_written():
+    rig = Wired()
+    rest = measure_at_rest(rig, generate_fast_ticks(500.0), 0, 2.0)
+    assert rest.rate_hz == pytest.approx(500.0)
+    assert rest.tension_noise == pytest.approx(0.01, rel=0.2)
+    assert len(format_rest_measurement(rest, GateConfig())) == 4
     assert rig.writes == []
 
 

@@ -280,6 +280,16 @@ def test_three_tendons_of_two_joints_move_them_without_fighting(asked):
     assert abs(least - CONFIG.slack_side_tension) < CONFIG.slack_side_band + 0.1
 
 
+def test_a_common_motion_of_three_slack_tendons_dies_down():
+    """It is not the joints', so nobody follows it: else each would follow the two others."""
+    balance = np.array(layout_of(OF_ARM, ARMS).group[0].balance[:3])
+    seen, memory = [slack_side()] * 3, ControllerState.new()
+    start = step(CONFIG, OF_ARM, memory, (0.0, 0.0), (0.0,) * 3, seen, True, DT, (), ARMS)
+    moved = np.array(start) + 1e-5 * balance
+    wanted = step(CONFIG, OF_ARM, memory, (0.0, 0.0), moved, seen, True, DT, (), ARMS)
+    assert wanted - moved == pytest.approx(-0.5e-5 * balance, abs=1e-9)
+
+
 @given(
     measured=st.lists(metres, min_size=3, max_size=3),
     e=st.lists(st.floats(0.0, 5e-3), min_size=3, max_size=3),

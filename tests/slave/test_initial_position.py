@@ -31,6 +31,13 @@ def where(memory, tendons=2, age_max=AGE_MAX):
     return memory.position[:tendons].tolist() if is_known(memory, age_max) else []
 
 
+def test_a_rig_that_starts_at_zero_stands_there_however_long_it_is_silent():
+    memory = fresh(starts_at_zero=True)
+    for _ in range(1000):
+        increase_age(memory, 1.0)
+    assert where(memory) == [0.0, 0.0]
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("which", [0, 1])
 def test_a_reading_that_lacks_an_encoder_counts_for_none_and_the_last_one_grows_older(bad, which):

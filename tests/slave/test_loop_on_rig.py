@@ -12,6 +12,7 @@ from slave import loop
 from slave.calibration.monitor import Advice
 from slave.config import SlaveConfig, TendonConfig, load_tendon_configs
 from slave.gate import GateConfig
+from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
 from slave.simulation.effects.friction import FrictionStep
 from slave.simulation.effects.sensors import StuckCell
@@ -170,6 +171,12 @@ def test_motors_at_their_limits_stay_well_within_what_they_may_be_behind(name):
     assert session.bench.state is State.ENGAGED
     assert np.abs(session.behind).max() < 0.4 * config.fault_detection.motor_lag
     assert np.abs(np.diff(session.behind, axis=0)).max() > 0.0
+
+
+def test_played_data_need_not_go_where_the_motors_are_sent(tmp_path):
+    config = SlaveConfig(rig=ReplayedRigConfig(file=tmp_path / "data.csv"))
+    assert not config.is_actuated
+    assert slave(wall()).is_actuated
 
 
 def pressing(time, reach=0.008, leg=1.0, rest=0.1):

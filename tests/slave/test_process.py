@@ -1,4 +1,5 @@
 import math
+import os
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -6,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from slave import loop, process
+from slave import loop, process, warm_up
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.file import Calibration
 from slave.calibration.initialisation import InitialiseResult
@@ -207,6 +208,26 @@ def test_nothing_is_written_before_the_operator_has_engaged():
     assert all(math.isnan(m.commanded_displacement[0]) for m in line.of(TENDONS))
 
 
+def test_earlier_samples_are_taken_over_at_ordinary_priority_and_the_loop_is_back_at_its_own(
+    monkeypatch,
+):
+    """They may be those of minutes, and other real-time threads need the processor."""
+    start, policies = loop.init_slave, []
+    monkeypatch.setattr(
+        loop, "init_slave", lambda *args: policies.append(os.sched_getscheduler(0)) or start(*args)
+    )
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except OSError:
+        pytest.skip("real-time scheduling is not permitted here")
+    try:
+        started(FakeRig(), CommandingLink(), Until(1))
+        policies.append(os.sched_getscheduler(0))
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    assert policies == [os.SCHED_OTHER, os.SCHED_FIFO]
+
+
 def test_engaged_the_motor_is_led_from_where_it_stands():
     rig = FakeRig()
     slave, line, _ = driven(rig)
@@ -239,6 +260,14 @@ def test_a_rig_that_fails_ends_the_session_in_fault_and_is_left_alone(fails):
     assert slave.summarise().reason.reason is Reason.RIG_FAULT
 
 
+def test_a_rig_that_fails_to_advance_has_moved_where_it_was_told_to():
+    rig = FakeRig(advance_fails_at=20)
+    _, line, _ = driven(rig)
+    assert line.of(TENDONS)[-1].commanded_displacement[0] == rig.writes[-1][0]
+    assert len(line.of(TENDONS)) == 20
+    assert sum(state.joints == 0 for state in line.of(STATE)) == 1  # the last word alone
+
+
 def test_a_command_is_answered_with_its_stamp_and_the_time_that_it_took():
     begin = now_ns()
     _, line, _ = driven(FakeRig())
@@ -248,6 +277,18 @@ def test_a_command_is_answered_with_its_stamp_and_the_time_that_it_took():
         assert 0 < state.answer_ns <= state.stamp_ns - state.echo_stamp_ns
     assert sum(state.answer_ns for state in states) < now_ns() - begin
     assert line.of(STATE)[-1].answer_ns == 0
+
+
+def test_a_tick_that_no_command_asked_for_answers_none():
+    line = CommandingLink()
+    stop = Until(30)
+    slave, clock = started(FakeRig(), line, stop)
+    for number, tick in enumerate(clock, start=1):
+        slave.tick(tick)
+        line.commanding = number < 20
+    states = line.of(STATE)
+    assert [state.answer_ns > 0 for state in states] == [True] * 20 + [False] * 10
+    assert {state.echo_stamp_ns for state in states[19:]} == {line.stamps[-1]}
 
 
 class Witness(FakeRig):
@@ -668,6 +709,15 @@ def test_a_rig_without_a_stop_of_its_own_is_held():
     bench.run_on(10)
     assert bench.side.state is State.STOPPED
     assert bench.rig.writes == [[HELD]] * 10
+
+
+@pytest.mark.parametrize("with_dynamics", [False, True])
+def test_effects_of_models_are_compiled_before_the_loop_begins(with_dynamics, monkeypatch):
+    config = SlaveConfig()
+    compiled = []
+    monkeypatch.setattr(warm_up, "estimate", lambda *args: compiled.append(args[4]))
+    warm_up.compile_session(config, with_dynamics)
+    assert compiled == [None, True][: 1 + with_dynamics]
 
 
 def test_a_request_is_answered_by_the_side_that_has_the_setting():

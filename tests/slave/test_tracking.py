@@ -100,6 +100,13 @@ def test_against_a_wall_the_tension_stops_at_its_limit_and_the_joint_comes_back(
     assert np.abs(record.travel - record.asked)[free].max() < 5e-4
 
 
+def test_engaging_moves_no_joint_whatever_its_tendons_are_pretensioned_with():
+    for pretension in (0.2, 3.0):
+        record = follow([joint(0.8, pretension=pretension)], [hold], 1.0)
+        assert np.abs(record.motor[0]).max() == 0.0
+        assert np.abs(record.travel).max() < 3e-5
+
+
 @pytest.mark.slow
 def test_the_joint_is_estimated_better_than_any_motor_tells():
     record = follow([loaded(0.8)], [MOTIONS["staircase"]], 3.5, errors=TOO_LITTLE)

@@ -12,8 +12,10 @@ from slave.extensions import ControllerExtension, EstimatorExtension, TipEstimat
 from slave.rigs.simulated import SimulatedRig
 from teleop.config import extensions
 from teleop.config.extension_calls import CheckedExtension, ExtensionFault
+from teleop.config.loading import ConfigDocument
 from teleop.coupling.extension import CouplingExtension, TipMotion
 from teleop.errors import UsageError
+from teleop.session.config import RunConfig, SideConfig
 from teleop.session.state_machine import Reason, State
 from tests.root import ROOT
 from tests.tick.session import HAND_ENGAGED, Session
@@ -280,6 +282,13 @@ def test_the_example_of_each_moves_the_joint_and_is_felt(key, monkeypatch):
     assert position[-1] - position[50] == pytest.approx(true[-1] - true[50], abs=1e-3)
     assert force[-1] > 2.0
     assert felt[-1] < -0.1
+
+
+def test_a_stop_a_view_or_a_recorder_needs_no_code_of_a_coupling():
+    document = ConfigDocument.read(FILE, ["coupling={type: 'not.installed:Here'}"])
+    assert document.load(RunConfig).rate_hz == 1000.0
+    with pytest.raises(UsageError, match="coupling"):
+        document.load(SideConfig)
 
 
 @pytest.mark.parametrize(

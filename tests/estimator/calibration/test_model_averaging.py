@@ -37,3 +37,15 @@ def test_what_is_missing_goes_to_the_one_that_is_less_sure():
     a, b = average_antagonists(unsure, sure, MeasuredValue(2.04, 1e-4))
     assert a.K.value + b.K.value == pytest.approx(2.04, abs=1e-3)
     assert a.K.value - 1.0 > 5.0 * (b.K.value - 1.0) > 0.0
+
+
+def test_what_is_put_right_is_the_last_bend():
+    (a, _) = average_antagonists((rival(1.0, 0.0),), (rival(1.0, 0.0),), MeasuredValue(2.02, 1e-4))
+    assert a.pattern.ends[0] == 0.5
+    assert a.K.value == pytest.approx(a.pattern.K)
+    assert a.pattern.compliance == rival(1.0, 0.0).pattern.compliance
+
+
+def test_a_last_bend_that_cannot_give_so_much_leaves_it_to_all():
+    pattern = Pattern((0.99, 1.0), (1e-4, 1e-5), (0.0, 0.0, 0.0)).ending(0.9)
+    assert pytest.approx((0.891, 0.9)) == pattern.ends

@@ -137,6 +137,12 @@ def diagnosed_context(time, speed):
     return EffectContext(time, PROXIMAL_DISPLACEMENT, travel, speed, {}, {}, zero, 1e-4)
 
 
+def test_no_reading_depends_on_itself_as_measured():
+    assert find_function("distal_tension_gain_by_tension") is not None
+    assert find_function("proximal_tension_by_tension") is None
+    assert find_function("proximal_tension_gain_by_tension") is None
+
+
 def test_a_further_column_that_is_not_there_is_refused():
     made = hidden.make(22, (), duration=10.0, rate=50.0)
     data = SimpleNamespace(time=made.time, **made.channels, extra={"humidity_percent": made.time})

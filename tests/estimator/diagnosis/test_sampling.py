@@ -77,3 +77,11 @@ def test_stamps_rounded_to_milliseconds_are_made_even(fine):
     }
     record = prepare_record(step * np.rint(true / step), noisy)
     assert_noise_is_told(record)
+
+
+def test_gaps_of_uneven_samples_are_told_too(fine):
+    rows = rows_of(fine, jitter=0.3)
+    time, channels = sampled(fine, rows[(rows < 4000) | (rows > 4100)])
+    said = [one.what for one in prepare_record(time, channels).issues]
+    assert sum("uneven time steps" in what for what in said) == 1
+    assert "missing samples" in said

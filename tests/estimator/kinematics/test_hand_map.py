@@ -127,6 +127,22 @@ def test_no_motion_of_the_hand_yields_energy(align):
     assert turnover > 0.01  # [J]
 
 
+def test_the_tip_moves_as_registered_and_scaled_and_locked_axes_do_not():
+    quarter = Rotation.from_rotvec([0.0, 0.0, math.pi / 2])
+    position = InverseConfig(weights=(1.0, 1.0, 0.0, 0.0, 0.0, 0.0), singular_value=1e-4)
+    mapping = {"translation_scale": 0.5, "registration": tuple(quarter.as_quat())}
+    arm = Teleoperation(planar_arm(), [0.3, 0.4, 0.5], HandMapConfig(**mapping), position)
+    start = arm.tip[:3, 3]
+    for k in range(301):
+        arm.tick((1e-4 * k, 0.0, 0.0))
+    assert arm.tip[:3, 3] - start == pytest.approx([0.0, 0.015, 0.0], abs=1e-5)
+    arm.set_map(HandMapConfig(**mapping, lock=(0,)))
+    held = arm.tip[:3, 3]
+    for k in range(301):
+        arm.tick((0.03 + 1e-4 * k, 1e-4 * k, 0.0))
+    assert arm.tip[:3, 3] - held == pytest.approx([-0.015, 0.0, 0.0], abs=1e-5)
+
+
 def test_the_orientation_aligns_while_the_hand_moves_without_a_jump():
     config = HandMapConfig(align_orientation=True, translation_scale=1.0)
     arm = Teleoperation(planar_arm(), [0.3, 0.4, 0.5], config)
@@ -139,6 +155,19 @@ def test_the_orientation_aligns_while_the_hand_moves_without_a_jump():
         assert turned * 0.05 <= 0.1001 * np.linalg.norm(arm.state["twist"]) * DT + 1e-9
     angle = Rotation.from_matrix(arm.tip[:3, :3]).as_rotvec()[2]
     assert angle == pytest.approx(0.6, abs=0.01)
+
+
+def test_the_grip_moves_the_jaw_within_its_limits():
+    config = HandMapConfig(grip_scale=2.0, jaw_limits=(-0.1, 0.1))
+    arm = Teleoperation(planar_arm(), [0.3, 0.4, 0.5], config)
+    for k in range(200):
+        arm.tick((0.0, 0.0, 0.0), grip=1e-4 * k, torque=np.array([0.0, 0.0, 0.0, 3.0]))
+        if k == 10:
+            assert arm.q[3] == pytest.approx(2e-3)
+            assert arm.force[6] == pytest.approx(6.0)
+    assert arm.q[3] <= 0.1
+    arm.tick((0.0, 0.0, 0.0), grip=1.0, torque=np.array([0.0, 0.0, 0.0, 3.0]))
+    assert arm.force[6] == 0.0
 
 
 def test_a_pose_that_is_not_finite_disengages():

@@ -318,3 +318,14 @@ def test_interval_is_tight_while_the_whole_tendon_slides_and_opens_after():
     least, most = envelope(build_tables(SHEATH), record.T_in[-1])
     assert result.low[-1] == pytest.approx(least, rel=0.05)
     assert result.high[-1] == pytest.approx(most, rel=0.05)
+
+
+def test_bad_from_the_first_sample_on_is_survived():
+    prepared = online.prepare(model())
+    estimate_, state = online.step(
+        prepared, online.build_initial_state(prepared), math.nan, math.nan, 0.0
+    )
+    assert estimate_.status & Status.INVALID_INPUT
+    assert estimate_.distal_tension == pytest.approx(0.0, abs=1e-6)
+    after, _ = online.step(prepared, state, 3.0, 3e-4, 0.001)
+    assert after.distal_tension == pytest.approx(3.0 / math.e, rel=1e-6)

@@ -1,5 +1,6 @@
 """The device as the loop sees it, against the fake: read, write, unplug, replug, close."""
 
+import gc
 import math
 import time
 from dataclasses import replace
@@ -240,6 +241,18 @@ def test_force_feedback_that_no_driver_can_use_is_said_with_what_to_do(hidraw, o
     assert any("WARNING: it has force feedback, but no driver" in line for line in said)
 
 
+def test_closing_while_it_is_away_ends_the_search(hidraw):
+    node = hidraw.plug(board())
+    device = HidDevice(CONFIG, lambda _: None)
+    loop = Loop(device)
+    loop.tick()
+    hidraw.unplug(node)
+    assert loop.tick()
+    device.close()
+    back = hidraw.plug(board())
+    assert not wait_for_condition(lambda: back.handles, 0.3)
+
+
 def test_it_refuses_what_the_gate_never_sends(hidraw, open_):
     hidraw.plug(board())
     device = open_().device
@@ -269,6 +282,22 @@ def test_the_buttons_may_be_on_another_device(hidraw, open_):
     loop.until(lambda: loop.hand.engage)
     hidraw.unplug(mouse)
     assert "SpaceMouse" in loop.tick()
+
+
+def test_a_dualsense_resists_and_lets_go_when_its_host_dies(hidraw, open_):
+    node = hidraw.plug(DualSense(descriptors.dualsense_usb()), ((1, 5),))
+    know_signs(l2=1)
+    config = HidConfig(axes=(AxisConfig("l2", travel=0.02, force=2.0),))
+    loop = open_(config)
+    node.device.axes[4] = 1.0
+    loop.until(lambda: loop.hand.position == pytest.approx((0.02,)))
+    loop.force = (-1.0,)  # against closing
+    loop.until(lambda: node.force() == (-0.5, 0.0))
+    loop.force = (1.0,)
+    loop.until(lambda: node.force() == (0.0, 0.0))
+    # the guard of a killed process writes to the node itself: here, a file
+    loop.device.close()
+    assert node.path.read_bytes()[:2] == b"\x02\x0c"
 
 
 @pytest.mark.parametrize(
@@ -336,3 +365,18 @@ def test_what_the_config_asks_for_in_vain_is_one_line_and_lets_go_of_the_device(
     with pytest.raises(UsageError, match=r"^master\.device: axes: the device has no axis 'l2'"):
         open_device(HidConfig(axes=(AxisConfig("l2", travel=0.1),)))
     assert wait_for_condition(lambda: not node.handles, 5.0)
+
+
+def test_a_device_that_stays_away_costs_no_memory(hidraw, open_):
+    node = hidraw.plug(board())
+    device = open_().device
+    hidraw.unplug(node)
+    gc.collect()
+    gc.disable()  # as in the loop
+    try:
+        for tick in range(1500):
+            with pytest.raises(DeviceLost):
+                device.read(tick * 1e-3)
+        assert gc.collect() < 1000
+    finally:
+        gc.enable()

@@ -8,7 +8,7 @@ from master.devices.hid.descriptor import parse_descriptor
 from master.devices.hid.driver import Controls, build_unknown_controls
 from master.devices.hid.joystick import Inputs, SpaceMouseDriver
 from studies.hid import descriptors as d
-from studies.hid.descriptors import arduino, ffbeast_pid, logitech_g29, openffboard
+from studies.hid.descriptors import LAYOUTS, arduino, ffbeast_pid, logitech_g29, openffboard, rhino
 
 
 def inputs(data):
@@ -58,6 +58,46 @@ def test_a_hat_is_four_buttons_after_the_others(hat, pressed):
     report = struct.pack("<BHBhh", 1, 1 << 11, hat, 0, 0)
     expected = 1 << 11 | sum(1 << 12 + "urdl".index(way) for way in pressed)
     assert device.decode(build_unknown_controls(len(device.axes)), report).buttons == expected
+
+
+def test_a_hat_at_rest_presses_nothing():
+    device = inputs(arduino(n_buttons=8))
+    for rest in (8, 15):
+        report = struct.pack("<BBBhh", 1, 0, rest, 0, 0)
+        assert device.decode(Controls((0.0, 0.0), 1 << 8, 0), report).buttons == 0
+
+
+def test_rows_of_buttons_apart_and_several_hats():
+    device = inputs(rhino())
+    assert device.buttons == 80
+    report = struct.pack(
+        "<B3h4BIHBBH13x", 1, 4096, -4096, 0, 0, 0, 0, 255, 1 << 31, 1, 0xF2, 0x0F, 1 << 15
+    )
+    assert len(report) == 34
+    controls = device.decode(build_unknown_controls(len(device.axes)), report)
+    assert controls.axes == (1.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    right_of_first, up_of_fourth = 1 << 65, 1 << 76
+    assert controls.buttons == 1 << 31 | 1 << 32 | 1 << 63 | right_of_first | up_of_fourth
+
+
+def test_halves_of_a_device_are_merged():
+    device = inputs(LAYOUTS["spacemouse old"])
+    first = device.decode(
+        build_unknown_controls(len(device.axes)), struct.pack("<B3h", 1, 500, -500, 0)
+    )
+    both = device.decode(first, struct.pack("<B3h", 2, 250, 0, 0))
+    pressed = device.decode(both, b"\x03\x02\x00")
+    assert (pressed.axes, pressed.buttons) == ((1.0, -1.0, 0.0, 0.5, 0.0, 0.0), 2)
+    assert first.known == 0 != pressed.known
+    assert device.decode(pressed, struct.pack("<B3h", 1, 0, 0, 0)).buttons == 2
+
+
+def test_what_is_out_of_range_is_held_to_the_end():
+    device = inputs(LAYOUTS["spacemouse"])
+    controls = device.decode(
+        build_unknown_controls(len(device.axes)), struct.pack("<B6h", 1, 400, -400, 0, 0, 0, 0)
+    )
+    assert controls.axes[:2] == (1.0, -1.0)
 
 
 def test_an_axis_that_says_none_keeps_its_value():

@@ -61,6 +61,13 @@ def test_the_velocity_filter_has_its_time_constant():
     assert speeds[-1] == pytest.approx(1.0 - math.exp(-1.0), rel=5e-3)
 
 
+def test_reports_that_come_more_seldom_than_ticks_are_smoothed():
+    hand = Hand(AxisConfig("x", travel=0.1), smoothing=0.02)
+    speeds = [hand.read(0.008 * (tick // 8)).velocity[0] for tick in range(800)]
+    assert sum(speeds[400:]) / 400 == pytest.approx(0.1, rel=0.01)
+    assert max(speeds[400:]) < 0.125  # unsmoothed it would be 0.8
+
+
 def test_a_rate_axis_moves_only_while_engage_is_held_and_the_clutch_is_not():
     hand = Hand(AxisConfig("x", speed=0.2, sign=-1))
     assert hand.read(1.0).position == (0.0,)

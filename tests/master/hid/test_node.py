@@ -31,6 +31,13 @@ def test_a_full_queue_is_told_by_its_length(node, plugged):
     assert reports[-1] == bytes((1, 63))  # the newest are the ones that are lost
 
 
+def test_one_call_takes_no_more_than_a_queue_however_fast_they_come(hidraw, node, plugged):
+    plugged.talking = True
+    start, ticks = hidraw.clock(), iter(range(1, 10**6))
+    hidraw.clock = lambda: start + next(ticks) * 0.010
+    assert len(node.drain()) == QUEUE_LENGTH
+
+
 @pytest.mark.parametrize("call", ["write", "send_feature"])
 def test_a_report_that_is_not_taken_is_a_fault(hidraw, node, plugged, call):
     getattr(node, call)(bytes((0x0D, 255)))

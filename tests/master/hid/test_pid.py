@@ -128,6 +128,13 @@ def test_without_a_direction_bit_an_effect_has_its_axis_alone():
     assert [effect[13] for effect in effects] == [0b01, 0b10]
 
 
+def test_a_direction_bit_that_is_declared_as_filling_is_set():
+    named = d.usage(0x56) + d.logical(0, 1) + d.shape(1) + d.main(d.OUTPUT, d.CONSTANT)
+    data = arduino().replace(d.field(d.OUTPUT, 1, 0, 1, 0x56), named)
+    _, reported = begun(data)
+    assert reported[6] == begun(arduino())[1][6]
+
+
 def test_time_is_counted_as_the_device_says():
     def with_clock(exponent):
         ms = d.unit(*d.MILLISECONDS) + d.field(d.OUTPUT, 16, 0, 32767, 0x50, 0x54, 0x51, 0xA7)
@@ -314,6 +321,15 @@ def test_a_device_with_one_effect_pushes_the_one_axis_that_is_used(axis):
     assert len(device.effects) == 1
     for report in driver.silence():
         cable.write(report)
+    assert not device.effects
+
+
+def test_without_an_axis_to_push_no_effect_is_made():
+    device = DEVICES["openffboard"]()
+    driver = PidDriver(device.descriptor, PidConfig(spring=0.5), pushed=())
+    driver.begin(Cable(device))
+    assert driver.forces == ()
+    assert driver.encode((), arm=True) == ()
     assert not device.effects
 
 

@@ -17,7 +17,8 @@ from studies.hid.virtual.logitech import Logitech
 from studies.hid.virtual.openffboard import OpenFFBoard, OpenFFBoardWheel
 from studies.hid.virtual.rhino import Rhino
 from studies.hid.virtual.spacemouse import SpaceMouse
-from tests.master.reading import comes_back
+from teleop.launch.supervisor import wait_for_condition
+from tests.master.reading import comes_back, reads
 
 
 class Keyboard:
@@ -241,6 +242,27 @@ def test_it_is_switched_over_with_the_one_report_and_driven_by_classic_commands(
     assert comes_back(device)
     device.close()
     assert before.now.device.refused == []
+
+
+def test_back_in_console_mode_after_a_replug_it_is_switched_over_again(hidraw):
+    node = hidraw.plug(wheel())
+    device = HidDevice(config(), lambda _line: None)
+    hidraw.unplug(node)
+    assert not reads(device)
+    back = ConsoleWheel(hidraw)
+    hidraw.plug(back)
+    assert comes_back(device)
+    assert CENTRE_OFF in back.now.written
+    device.close()
+
+
+def test_another_one_in_console_mode_is_left_alone_by_a_replug(hidraw):
+    node, other = hidraw.plug(wheel()), hidraw.plug(ConsoleWheel(hidraw))
+    device = HidDevice(config(str(node.path)), lambda _line: None)
+    hidraw.unplug(node)
+    assert not reads(device)
+    assert not wait_for_condition(lambda: other.written or reads(device), 0.5)
+    device.close()
 
 
 def test_beside_another_device_it_must_be_selected(hidraw):

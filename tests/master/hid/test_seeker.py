@@ -49,6 +49,18 @@ def test_whatever_a_look_fails_with_another_one_follows(monkeypatch):
     assert wait_for_condition(lambda: looking.found is thing, 5.0)
 
 
+def test_what_goes_on_failing_is_told_of(monkeypatch):
+    monkeypatch.setattr(device, "POLL_PERIOD_S", 0.001)
+    for error, words in (
+        (DeviceFault("not_ready_reason"), "not_ready_reason"),
+        (RuntimeError("odd"), "odd"),
+    ):
+        looking, _ = seek(Thing(), error)
+        assert wait_for_condition(lambda looking=looking: looking.trouble, 5.0)
+        assert words in looking.trouble
+        looking.end(5.0)
+
+
 def test_nothing_is_opened_before_what_broke_has_said_its_last_word(monkeypatch):
     monkeypatch.setattr(device, "POLL_PERIOD_S", 0.01)
     broken, thing = Thing(ends=False), Thing()
@@ -57,3 +69,11 @@ def test_nothing_is_opened_before_what_broke_has_said_its_last_word(monkeypatch)
     assert seen == []
     broken.free.set()
     assert wait_for_condition(lambda: looking.found is thing, 5.0)
+
+
+def test_what_is_found_but_not_taken_is_ended():
+    thing = Thing()
+    looking, _ = seek(Thing(), thing)
+    assert wait_for_condition(lambda: looking.found is thing, 5.0)
+    looking.end(5.0)
+    assert thing.asked

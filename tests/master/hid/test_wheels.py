@@ -53,6 +53,13 @@ def test_every_wheel_of_the_kernel_and_no_other_gets_the_classic_commands():
         assert written_by(product) == ["00f5000000000000", "0013000000000000"]
 
 
+def test_formula_force_ex_has_a_centring_command_of_its_own():
+    """The kernel tells it by its release, 21.00; others of this product take the usual one."""
+    assert written_by(0xC294, 0x2100) == ["00fe030000000000", "0013000000000000"]
+    assert written_by(0xC294, 0x1350)[0] == "00f5000000000000"
+    assert written_by(0xC29B, 0x2100)[0] == "00f5000000000000"
+
+
 @pytest.mark.parametrize(
     ("product", "interface", "why"),
     [
@@ -72,6 +79,14 @@ def test_what_does_not_speak_them_is_refused(product, interface, why):
 def test_steering_is_sixteen_bits(count, share):
     x = DRIVER.axes.index("x")
     assert DRIVER.decode(UNKNOWN, g29(count)).axes[x] == pytest.approx(share, abs=2e-5)
+
+
+def test_pedals_and_buttons_are_told_apart():
+    rest = DRIVER.decode(UNKNOWN, g29()).axes
+    for pedal in ("accelerator", "brake", "clutch"):
+        moved = DRIVER.decode(UNKNOWN, g29(**{pedal: 0})).axes
+        assert sum(a != b for a, b in zip(moved, rest, strict=True)) == 1
+    assert DRIVER.decode(UNKNOWN, g29(buttons=0b101)).buttons == 0b101
 
 
 FFBEAST = FFBeastDriver()

@@ -162,3 +162,15 @@ def test_a_defect_of_a_driver_leaves_no_force_and_is_not_kept_quiet(sink, monkey
     assert thread.failure is not None
     assert thread.end(5.0)
     assert crashes == [ZeroDivisionError]
+
+
+def test_the_end_does_not_wait_for_a_write_that_hangs_but_closes_after_it(sink):
+    thread = Writer(sink, TwoAxes())
+    sink.free.clear()
+    thread.post((0.5, 0.0))
+    assert sink.waiting.wait(5.0)
+    assert not thread.end(0.01)
+    assert not sink.closed.is_set()
+    sink.free.set()
+    assert sink.closed.wait(5.0)
+    assert sink.written[-1] == b"off"

@@ -45,6 +45,14 @@ def test_a_new_engagement_begins_with_an_open_switch_at_the_new_position(later_m
     assert (hand.engage, hand.position, hand.velocity) == (True, (0.4,), (0.0,))
 
 
+def test_before_it_is_enabled_it_is_at_the_newest_command():
+    moving = motion()
+    moving.step(record(3, 2, 0, 0.4), True, 0.003)
+    for k in range(4, 20):
+        hand = moving.step(record(3, 2, 3, 0.4), True, k * 1e-3)
+        assert (hand.position, hand.velocity) == ((0.4,), (0.0,))
+
+
 def test_a_velocity_moves_while_engaged_and_fresh_only():
     moving = CommandMotion(1, is_velocity=True)
     positions = []

@@ -174,6 +174,21 @@ def test_what_fails_at_the_end_replaces_no_fault_and_no_summary(capsys):
     assert "check that its motors are without power" in said
 
 
+@pytest.mark.parametrize(
+    ("returned", "entries"),
+    [
+        ({"lost": np.int64(2), "rate": np.float32(0.5)}, {"lost": 2, "rate": 0.5}),
+        ({"lost": {1, 2}}, None),
+        (None, None),
+    ],
+)
+def test_a_summary_can_be_written_as_json(returned, entries):
+    rig = type("Told", (Pair,), {"summary": lambda _: returned})(())
+    summary = open_rig(PairConfig(rig=rig)).summary()
+    json.dumps(summary)
+    assert summary == entries if entries else "mylab: summary fails: " in summary["error"]
+
+
 @dataclass(frozen=True)
 class ReadableConfig(PairConfig):
     def open_read_only(self):

@@ -72,6 +72,12 @@ def test_tendons_are_numbered_joint_after_joint():
     assert sample.proximal_displacement[:2] == pytest.approx([2e-3, -2e-3], abs=1e-6)
 
 
+def test_samples_come_on_the_plants_grid_once_each():
+    rig = SimulatedRig(SimulatedRigConfig())
+    times = [rig.read(time) for time in (0.0, 0.0004, 0.0011, 0.0012, 0.0042)]
+    assert [[s.time_s for s in samples] for samples in times] == [[0.0], [], [0.001], [], [0.004]]
+
+
 def test_the_same_seed_gives_the_same_samples_and_another_does_not():
     targets = np.linspace(0.0, 5e-3, 200)
 
@@ -255,3 +261,14 @@ def test_a_mapping_beside_the_config_tells_columns_units_and_the_run(tmp_path):
     sample = open_rig(dataclasses.replace(played, tendons=both)).read(0.0)[0]
     assert sample.proximal_tension.tolist() == [2.0, 1.0]
     assert sample.proximal_displacement is None
+
+
+def test_measured_data_without_travel_can_be_played_and_tells_how_far(tmp_path):
+    path = tmp_path / "tension_only.csv"
+    write_table(path, {"time_s": np.arange(5) * 0.01, "proximal_tension_N": np.full(5, 2.0)})
+    rig = open_rig(ReplayedRigConfig(file=path))
+    (first, second) = rig.read(0.015)
+    assert first.proximal_displacement is second.proximal_displacement is None
+    assert rig.starts_at_zero
+    read_as = "5 samples, 0.04 s, 100 Hz"
+    assert rig.summary() == {"rows": 5, "played": 2, "spikes": 0, "read_as": read_as}

@@ -180,6 +180,14 @@ def test_a_late_sensor_comes_nearer_by_63_percent_in_its_time_constant(sensor, c
     assert behind.sum() * 1e-3 == pytest.approx(0.06 * step()[-1], rel=0.02)
 
 
+def test_a_pretension_is_added_to_that_of_the_body_and_moves_nothing():
+    joint = PAIR
+    rows = run(joint, made("pretension", tension=3.0), stroke=0.0, seconds=0.3)
+    for channel in (T_IN, T_OUT):
+        assert rows[channel] == pytest.approx(joint.body.pretension + 3.0, abs=1e-9)
+    assert np.abs(rows[Q_OUT]).max() < 1e-9
+
+
 def test_a_sheath_bent_more_at_its_tip_stretches_its_tendon_as_its_tensions_say():
     """Curvature grows by equal ratios along x; de = T dx/EA, dT = -mu T ds/R: summed up."""
     ratio = 4.5

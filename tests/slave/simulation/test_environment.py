@@ -110,3 +110,9 @@ def test_a_profile_runs_straight_between_its_points_and_stays_or_repeats():
     assert [force(brief, 0.0, time=t) for t in (1.9, 2.0, 2.4, 2.5)] == pytest.approx(
         [0, 4, 2.8, 0]
     )
+
+
+def test_a_load_motor_under_position_control_drives_through_its_stiffness():
+    motor = LoadMotorConfig(mode="position", profile=((0.0, 0.002),), stiffness=5000.0)
+    assert force(motor, 0.003) == pytest.approx(5.0)
+    assert force(motor, 0.001) == pytest.approx(-5.0)
