@@ -80,10 +80,10 @@ def test_every_command_refuses_a_wrong_duration_and_an_impossible_summary(comman
 
 @pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
 def test_closed_standard_streams_are_no_defect(closed, tmp_path):
-    run = f"{sys.executable} -m teleop run --config no-such.yaml {closed}"
+    run = f"{sys.executable} -m teleop keys show no-such {closed}"
     ended = subprocess.run(run, shell=True, capture_output=True, text=True, check=False)  # noqa: S602
     assert ended.returncode == 2
-    assert ended.stderr.startswith("teleop: no-such.yaml") or "2>&-" in closed
+    assert ended.stderr.startswith("teleop: no-such") or "2>&-" in closed
 
 
 INTERRUPTED = """
