@@ -17,6 +17,7 @@ from slave.extensions import ControllerExtension, EstimatorExtension
 from slave.fault_detection import FaultDetectionConfig
 from slave.gate import GateConfig
 from slave.rigs import RigConfig
+from slave.rigs.hardware import HardwareRigConfig
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated import SimulatedRigConfig, TendonPlantConfig
 from slave.tendon_config import TendonConfig
@@ -199,6 +200,7 @@ def find_config_warnings(config: SlaveConfig, coupling: CouplingConfig = DIRECT)
     return [
         *build_bounds_warnings("slave.gate", config.gate),
         *_find_model_warnings(config, coupling),
+        *_find_loop_warnings(config),
     ]
 
 
@@ -218,6 +220,25 @@ def _find_model_warnings(config: SlaveConfig, coupling: CouplingConfig) -> list[
     if calibration.accepted:
         return []
     return [f"WARNING: {config.calibration.name} is not accepted: {calibration.remark}"]
+
+
+def _find_loop_warnings(config: SlaveConfig) -> list[str]:
+    """Return a warning for each sensing loop that has only one of cells and `loop_friction`."""
+    if not isinstance(config.rig, SimulatedRigConfig | HardwareRigConfig):
+        return []
+    models = config.tendons
+    if isinstance(config.calibration, Path):
+        models = file.load(config.calibration).tendons
+    loops = [bool(tendon.loop) for joint in config.rig.joints for tendon in joint.tendons]
+    if len(models) == 1:
+        models *= len(loops)
+    lines = []
+    for number, (has_loop, model) in enumerate(zip(loops, models, strict=False), 1):
+        if has_loop and model.loop_friction == 0.0:
+            lines.append(f"tendon {number} has a sensing loop, not used without loop_friction")
+        elif model.loop_friction > 0.0 and not has_loop:
+            lines.append(f"tendon {number} has loop_friction, but the rig measures no loop there")
+    return [f"WARNING: slave.tendons: {line}" for line in lines]
 
 
 def to_tendon_config(tendon: TendonPlantConfig, pretension: float) -> TendonConfig:

@@ -210,10 +210,10 @@ class HardwareRigConfig:
                     )
                 if ids.count(number) > 1:
                     raise ValueError(f"joints: {kind} {number} belongs to two tendons")
-        if self.reads_currents and any(t.cell.uncertainty is None for t in self.tendons):
+        if self.reads_currents and any(c.uncertainty is None for c in list_cells(self.tendons)):
             raise ValueError(
-                "joints: tensions from motor currents need cell.uncertainty [N] of each tendon, or "
-                "load cells on a bus of their own (cells)"
+                "joints: tensions from motor currents need the uncertainty [N] of each cell, those "
+                "of loops too, or load cells on a bus of their own (cells)"
             )
 
     @property

@@ -77,7 +77,7 @@ def check_ranges(config: Any) -> None:
                 raise ValueError(f"{name}: must be {allowed}{finite}")
             if allowed.bound < abs(number) < math.inf and not config.exceed_bounds:
                 raise ValueError(
-                    f"{name}: must be at most {allowed.bound:g} {allowed.unit} "
+                    f"{name}: magnitude must be at most {allowed.bound:g} {allowed.unit} "
                     "(docs/explanation/safety.md); check the unit, or set exceed_bounds: true "
                     "beside it"
                 )

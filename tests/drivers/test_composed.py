@@ -84,6 +84,9 @@ def test_a_sensing_loop_has_cells_of_its_own_that_two_tendons_may_share(board):
     ends = (CellConfig(id=3, scale=-NEWTONS), CellConfig(id=2, scale=NEWTONS, offset=100.0))
     with pytest.raises(ValueError, match="loop: must have no cell or two"):
         dataclasses.replace(tendon(1, 1), loop=ends[:1])
+    for cells in (ends[:1] * 2, (CellConfig(id=1, scale=NEWTONS), ends[1])):
+        with pytest.raises(ValueError, match="loop: both cells must have ids of their own"):
+            dataclasses.replace(tendon(1, 1), loop=cells)
     a, b = (dataclasses.replace(tendon(k, k), loop=ends) for k in (1, 4))
     assert [cell.id for cell in list_cells((a, b))] == [1, 4, 3, 2]
     config = rig_config(microcontroller(board.port.name))
@@ -93,6 +96,19 @@ def test_a_sensing_loop_has_cells_of_its_own_that_two_tendons_may_share(board):
     assert sample.proximal_tension == pytest.approx([1.0], abs=0.1)
     assert sample.loop_moved_tension == pytest.approx([-1.0], abs=0.1)
     assert sample.loop_held_tension == pytest.approx([1.0 - 100.0 * NEWTONS], abs=0.1)
+
+
+def test_tensions_of_a_loop_from_currents_need_their_uncertainty():
+    ends = tuple(CellConfig(id=k, scale=NEWTONS, uncertainty=0.5) for k in (2, 3))
+    config = rig_config(dynamixel("/dev/x"), uncertainty=0.5)
+
+    def add_loop(loop):
+        joint = HardwareJointConfig((dataclasses.replace(config.tendons[0], loop=loop),))
+        return dataclasses.replace(config, joints=(joint,))
+
+    add_loop(ends)
+    with pytest.raises(ValueError, match="those of loops"):
+        add_loop((ends[0], dataclasses.replace(ends[1], uncertainty=None)))
 
 
 def test_counts_become_metres_and_newtons_and_targets_the_same_counts_again():

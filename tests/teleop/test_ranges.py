@@ -35,7 +35,10 @@ class Limits(RangedConfig):
         ({"may_be_infinite": nan}, "may_be_infinite: must be at least 0"),
         ({"infinite": 0.0}, "infinite: must be above 0 N"),
         ({"infinite": -inf}, "infinite: must be above 0 N"),
-        ({"infinite": 10.5}, "infinite: must be at most 10 N (docs/explanation/safety.md); "),
+        (
+            {"infinite": 10.5},
+            "infinite: magnitude must be at most 10 N (docs/explanation/safety.md); ",
+        ),
         ({"whole": 0}, "whole: must be 1 to 20000000"),
         ({"each": (0.5, 1.5)}, "each.1: must be 0 to 1"),
         ({"each": (nan,)}, "each.0: must be 0 to 1"),
