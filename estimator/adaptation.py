@@ -399,11 +399,11 @@ def _weigh(
     else:
         for h in range(HYPOTHESES):
             state.log_posterior[h] -= 0.5 * temper * min(costs[h] - least, cost_max)
-        told = cost_max
+        distinction = cost_max
         for h in range(FACTOR_COUNT):
             if abs(constants.K[h] - state.K) > APART * state.K:
-                told = min(told, costs[h] - least)
-        state.evidence_age *= math.exp(-0.5 * temper * told)
+                distinction = min(distinction, costs[h] - least)
+        state.evidence_age *= math.exp(-0.5 * temper * distinction)
     _summarise(constants, state)
 
 

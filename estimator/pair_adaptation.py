@@ -1,19 +1,24 @@
 """Adaptation of K for the two tendons of one joint, whatever moves the joint.
 
-Their tips move oppositely, so the motors' travels add up to the elongations (T17):
+Evidence is taken where a motor has moved the joint so far in one direction that both tendons slide
+fully, one pulled, the other dragged out. Both profiles are then known in closed form, whatever was
+before, and so are the elongations of (T21),
 
-    q_a + q_b = e_a + e_b + constant.
+    q_a + q_b = e_a + e_b + constant,
 
-This needs no assumption of what moves the joint, environment included, but true profiles: the tip
-of a tendon that is dragged out drives its own (T18). So the profiles here, at the ends of `CELLS`
-cells of equal friction, are driven from the housing by T_in, and from the tip by the travel of the
-joint, which is that of a tendon that slides fully, the way it slides. T_in holds meanwhile: a tip
-that moves further drags all of the tendon along.
+and the tensions at the tips of (T20). The load on the joint is their difference. One that depends
+on place alone (spring, weight, elastic tissue) helps one direction as much as it resists the other,
+so the tensions with which the joint passes one place both ways give K_a + K_b (T22):
 
-The friction of each third of both sheaths and the constant are estimated by an extended Kalman
-filter, a sample of it being a piece in which the elongations change by those of `PIECE_TENSION`.
-The derivatives are differences of profiles: one of the model in use, and one with more friction in
-each third. A piece that fits no sheath within the covariance is not used, and widens it.
+    T_in,a e^-K_a - T_in,b e^K_b  +  T'_in,b e^-K_b - T'_in,a e^K_a  =  2 f.
+
+An extended Kalman filter estimates the friction of each third of both sheaths, errors of L/EA, the
+constant and the friction f of the joint, all but f being known at the start. What does not fit is
+not used: tissue adds friction of its own. If most passes agree that K differs, K has changed.
+
+T_out is that of profiles at the ends of `CELLS` cells of equal friction, driven from the housing
+by T_in, and from the tip (T18) by the travel of the joint, which is that of a tendon that slides
+fully, the way it slides. T_in holds meanwhile: a tip that moves further drags all along.
 """
 
 import math
@@ -25,7 +30,6 @@ from estimator import signals
 from estimator.adaptation import (
     APART,
     CELLS,
-    CHANGE_MIN,
     DRIFT,
     EVIDENCE_MAX,
     FACTOR_COUNT,
@@ -34,7 +38,6 @@ from estimator.adaptation import (
     LOOP_ACCURACY,
     LOOP_TEMPER,
     MISFIT_MAX,
-    PIECE_TENSION,
     TAUT_TENSION,
     UPDATE_S,
     AdaptationConstants,
@@ -57,26 +60,31 @@ from estimator.online.online import Estimates, TendonModel
 from estimator.online.tendon_estimate import INVALID_INPUT, TendonEstimate
 from estimator.records import F64, Field, Flag, Struct, StructArray
 
-ROWS, IN_USE = 4, 3  # profiles: with more friction in each third, and of the model in use
-# log factors of the thirds of a and b, relative errors of L/EA of a and b, the constant
-STATES, FRICTIONS, CONSTANT = 9, 6, 8
-PERTURBATION = 0.1  # of the log factor of a third
+# log factors of the thirds of a and b, relative errors of L/EA of a and b, the constant, and the
+# friction of the joint
+STATES, FRICTIONS, CONSTANT, JOINT = 10, 6, 8, 9
+PASSES = 64  # of the joint in each direction, that are remembered
 LEAST_TENSION = 1e-3  # [N]
 TRAVEL_BAND = 2.5e-6  # [m] of the tip's travel by one tendon: less is noise
 SLIDING_SHARE = 0.005  # of the tension at the tip, within which the tendon slides fully
+TURN_BAND = 2e-5  # [m] of the mean travel of both motors
+SLIDE_MARGIN = 1e-4  # [m] of it, beyond what elongations and a reversal take
+PIECE_TRAVEL = 2e-4  # [m] of it, for a piece of evidence
 PIECE_S = 0.1  # [s] within which pieces share their errors
 TEMPER = 0.25  # of the evidence of a piece: later ones share some errors, too
-ELONGATION_FLOOR = 4e-6  # [m] of noise: dead bands
-COMPLIANCE_SIGMA = 0.02  # of L/EA, relative
-ROOM_SHARE = 0.5  # of what elongations lack to full sliding: until then a tip moves unseen
-LAG_S = 2e-3  # [s] between tensions and travels
-START_SIGMA = 0.15  # of each log factor
-MISFIT_SIGMA = 0.1  # of each log factor, added by a piece that fits no sheath
+ELONGATION_NOISE, ELONGATION_ACCURACY = 4e-6, 0.005  # [m], relative
+PASS_DISTANCE, PASS_S = 1.5e-4, 8.0  # [m], [s] between two passes of one place
+LOAD_NOISE, LOAD_ACCURACY = 0.06, 0.01  # [N], relative to the tensions at the tips
+START_SIGMA = 0.03  # of each log factor
 COMMON_SHARE = 0.5  # of the variance of a log factor, common to the thirds of a sheath
-SIGNIFICANCE = 3.2  # sigma of noise, and
-MODEL_ERROR = 0.02  # of K, times both tendons' elongation over that of one: 1 % of elongation
+COMPLIANCE_SIGMA = 0.02  # of L/EA, relative
 CONSTANT_SIGMA, CONSTANT_DRIFT = 1e-3, 2e-6  # [m], [m/sqrt(s)]
-SIGMAS = 4.0  # of the interval of K
+# [N], [N], [N/sqrt(s)]: friction of the joint, and a load cell's zero
+JOINT_MEAN, JOINT_SIGMA, JOINT_DRIFT = 0.1, 0.1, 2e-3
+MISFIT_SIGMA = 0.1  # of each log factor, added by elongations that fit no sheath
+JUMP_PASSES = 20  # over which passes that fit no sheath are averaged
+JUMP_AGREEMENT, JUMP_SHARE = 0.1, 0.6  # of their log ratios, and of them among all passes
+SIGMAS = 3.0  # of the interval of K
 
 _K, _LENGTH, _EA = _tables.K, _tables.LENGTH, _tables.EA
 _DRAG, _ASYMMETRY = _tables.DRAG, _tables.ASYMMETRY
@@ -85,14 +93,13 @@ _DRAG, _ASYMMETRY = _tables.DRAG, _tables.ASYMMETRY
 class PairTendon(AdaptedFriction):
     """One tendon of a pair, between two samples."""
 
-    was_pulled: Flag = False  # all of it slid towards the motor, and so the first profile is known
-    was_released: Flag = False
-    tension: Annotated[Array, Field("f8", (CELLS + 1, ROWS))]  # T + tau [N]
-    pull_ratio: Annotated[Array, Field("f8", (3, ROWS))]  # e^-ds of a cell in each third
-    release_ratio: Annotated[Array, Field("f8", (3, ROWS))]  # e^(rho ds)
+    tension: Annotated[Array, Field("f8", CELLS + 1)]  # T + tau [N]
+    pull_ratio: Annotated[Array, Field("f8", 3)]  # e^-ds of a cell in each third
+    release_ratio: Annotated[Array, Field("f8", 3)]  # e^(rho ds)
     drive: F64 = 0.0  # T_in + tau [N]
-    elongation: F64 = 0.0  # of the model in use [m]
-    last_elongation: F64 = 0.0  # at the last piece
+    elongation: F64 = 0.0  # [m]
+    turn_tension: F64 = 0.0  # T_in + tau [N] where the motors turned
+    piece_tension: F64 = 0.0  # [N] where the piece began
     tip: F64 = 0.0  # travel of the tip by this tendon [m], behind a dead band
 
 
@@ -104,8 +111,18 @@ class PairAdaptation(Struct):
     started: Flag = False
     mean: Annotated[Array, Field("f8", STATES)]
     covariance: Annotated[Array, Field("f8", (STATES, STATES))]
-    noise: Annotated[Array, Field("f8", (STATES, STATES))]  # of it, by the noise of the pieces
     age: F64 = 0.0  # [s] since the last piece
+    travel: F64 = math.nan  # mean travel of both motors towards a [m], behind a dead band
+    direction: F64 = 0.0  # of it, 0 = not known
+    turn_travel: F64 = 0.0  # [m] where it turned
+    piece_travel: F64 = 0.0  # [m] where the piece began
+    time: F64 = 0.0  # [s]
+    passes: Annotated[Array, Field("i8", 2)]  # so far, towards a and b
+    place: Annotated[Array, Field("f8", (2, PASSES), fill=math.nan)]  # [m] of the joint
+    pass_time: Annotated[Array, Field("f8", (2, PASSES))]  # [s]
+    pass_tension: Annotated[Array, Field("f8", (2, PASSES, 2))]  # T_in + tau of a and b [N]
+    excess: F64 = 0.0  # mean log ratio of passes that fit no sheath
+    excess_share: F64 = 0.0  # of passes, those that agree with it
 
 
 @jit_compile
@@ -132,7 +149,8 @@ def observe_pair(
         return
     a, b = state.a, state.b
     if not (_is_valid(estimate_a) and _is_valid(estimate_b)):
-        # what the joint has moved meanwhile is seen afterwards
+        # what the joint has moved meanwhile is seen afterwards, but not whether it turned
+        state.direction = 0.0
         if state.started and _is_valid(estimate_a):
             _drive_housing(constants_a, a, prepared_a, estimator_a.held_tension)
             _write_estimate(a, prepared_a, estimate_a)
@@ -153,19 +171,19 @@ def observe_pair(
     if travel != 0.0:
         _drive_tip(constants_a, a, -travel)
         _drive_tip(constants_b, b, travel)
-    is_usable = min(estimator_a.mean_tension, estimator_b.mean_tension) > TAUT_TENSION and (
-        a.was_pulled and a.was_released and b.was_pulled and b.was_released
-    )
+    is_usable = min(estimator_a.mean_tension, estimator_b.mean_tension) > TAUT_TENSION
     state.age += dt
-    if is_usable:
-        T_a = estimator_a.mean_tension + prepared_a.tables[_DRAG]
-        T_b = estimator_b.mean_tension + prepared_b.tables[_DRAG]
-        _take_evidence(constants_a, constants_b, state, q_a + q_b, T_a, T_b)
+    state.time += dt
+    T_a = estimator_a.mean_tension + prepared_a.tables[_DRAG]
+    T_b = estimator_b.mean_tension + prepared_b.tables[_DRAG]
+    direction = _find_slide(constants_a, constants_b, state, 0.5 * (q_a - q_b), T_a, T_b)
+    if is_usable and direction != 0.0:
+        rho_a, rho_b = prepared_a.tables[_ASYMMETRY], prepared_b.tables[_ASYMMETRY]
+        _take_evidence(constants_a, constants_b, state, direction, q_a, q_b, T_a, T_b, rho_a, rho_b)
     _take_loop(constants_a, state, a, 0, loop_a, dt)
     _take_loop(constants_b, state, b, 3, loop_b, dt)
-    ratio = constants_b.compliance / constants_a.compliance
-    _adapt(constants_a, state, a, prepared_a, estimator_a, 0, ratio, is_usable, dt)
-    _adapt(constants_b, state, b, prepared_b, estimator_b, 3, 1.0 / ratio, is_usable, dt)
+    _adapt(constants_a, state, a, prepared_a, estimator_a, 0, is_usable, dt)
+    _adapt(constants_b, state, b, prepared_b, estimator_b, 3, is_usable, dt)
     _write_estimate(a, prepared_a, estimate_a)
     _write_estimate(b, prepared_b, estimate_b)
 
@@ -183,6 +201,7 @@ def _initialise(state: PairAdaptation) -> None:
         state.covariance[k, k] = COMPLIANCE_SIGMA**2
     state.covariance[CONSTANT, CONSTANT] = CONSTANT_SIGMA**2
     state.mean[CONSTANT] = math.nan
+    state.mean[JOINT], state.covariance[JOINT, JOINT] = JOINT_MEAN, JOINT_SIGMA**2
 
 
 @jit_compile
@@ -206,53 +225,48 @@ def _initialise_tendon(
 def _set_friction(constants: AdaptationConstants, state: PairTendon, rho: float) -> None:
     """Take over the friction of the model in use."""
     for third in range(3):
-        for h in range(ROWS):
-            factor = state.factor[third] * (math.exp(PERTURBATION) if h == third else 1.0)
-            state.pull_ratio[third, h] = math.exp(-constants.cell_friction * factor)
-            state.release_ratio[third, h] = math.exp(rho * constants.cell_friction * factor)
+        ds = constants.cell_friction * state.factor[third]
+        state.pull_ratio[third], state.release_ratio[third] = math.exp(-ds), math.exp(rho * ds)
 
 
 @jit_compile
 def _drive_housing(
     constants: AdaptationConstants, state: PairTendon, prepared: PreparedTendon, T_in: float
 ) -> None:
-    """Bring T_in of all profiles to `T_in` [N] (T10)."""
+    """Bring T_in of the profile to `T_in` [N] (T10)."""
     drive = max(T_in + prepared.tables[_DRAG], LEAST_TENSION)
     if drive != state.drive:
         state.drive = drive
         _sweep(state.tension[:], state.pull_ratio[:], state.release_ratio[:], drive)
-        state.elongation = _elongate(constants, state, IN_USE)
+        state.elongation = _elongate(constants, state)
 
 
 @jit_compile
 def _sweep(tension: Array, pull: Array, release: Array, drive: float) -> None:
-    """Drive all profiles from the housing."""
+    """Drive a profile from the housing."""
     tension[0] = drive
     for n in range(1, CELLS + 1):
         third = 3 * (n - 1) // CELLS
-        for h in range(ROWS):
-            before = tension[n - 1, h]
-            low, high = before * pull[third, h], before * release[third, h]
-            tension[n, h] = min(max(tension[n, h], low), high)
+        before = tension[n - 1]
+        tension[n] = min(max(tension[n], before * pull[third]), before * release[third])
 
 
 @jit_compile
-def _elongate(constants: AdaptationConstants, state: PairTendon, h: int) -> float:
-    """Return the elongation [m] of a profile, with the drag's."""
+def _elongate(constants: AdaptationConstants, state: PairTendon) -> float:
+    """Return the elongation [m] of the profile, with the drag's."""
     e = 0.0
     for n in range(CELLS + 1):
-        e += constants.cell_weight[n] * state.tension[n, h]
+        e += constants.cell_weight[n] * state.tension[n]
     return e
 
 
 @jit_compile
 def _drive_tip(constants: AdaptationConstants, state: PairTendon, change: float) -> None:
-    """Move the tips so that all elongations change by `change` [m] (T18), or all slides."""
+    """Move the tip so that the elongation changes by `change` [m] (T18), or all slides."""
     ratio = state.release_ratio[:] if change > 0.0 else state.pull_ratio[:]
-    for h in range(ROWS):
-        _sweep_tip(state.tension[:, h], ratio[:, h], constants.cell_weight[:], change)
+    _sweep_tip(state.tension[:], ratio, constants.cell_weight[:], change)
     before = state.elongation
-    state.elongation = _elongate(constants, state, IN_USE)
+    state.elongation = _elongate(constants, state)
     state.tip -= state.elongation - before
 
 
@@ -298,42 +312,81 @@ def _move_tip(state: PairTendon, q: float) -> float:
 
 @jit_compile
 def _slides(state: PairTendon, travel: float) -> bool:
-    """Return whether the model in use lets the tip move so; take down how it slides."""
+    """Return whether the model in use lets the tip move so."""
     pull = release = state.drive
     for third in range(3):
-        pull *= state.pull_ratio[third, IN_USE] ** (CELLS // 3)
-        release *= state.release_ratio[third, IN_USE] ** (CELLS // 3)
-    tip = state.tension[CELLS, IN_USE]
+        pull *= state.pull_ratio[third] ** (CELLS // 3)
+        release *= state.release_ratio[third] ** (CELLS // 3)
+    tip = state.tension[CELLS]
     is_pulled = tip < pull * (1.0 + SLIDING_SHARE)
     is_released = tip > release / (1.0 + SLIDING_SHARE)
-    state.was_pulled = state.was_pulled or is_pulled
-    state.was_released = state.was_released or is_released
     return (is_pulled and travel > 0.0) or (is_released and travel < 0.0)
 
 
 @jit_compile
-def _compute_room(constants: AdaptationConstants, state: PairTendon) -> float:
-    """Return by how much the elongation [m] of the model in use differs from full sliding."""
-    pull = release = state.drive
-    e_pull = e_release = constants.cell_weight[0] * state.drive
-    for n in range(CELLS):
-        third = 3 * n // CELLS
-        pull *= state.pull_ratio[third, IN_USE]
-        release *= state.release_ratio[third, IN_USE]
-        e_pull += constants.cell_weight[n + 1] * pull
-        e_release += constants.cell_weight[n + 1] * release
-    return float(max(min(state.elongation - e_pull, e_release - state.elongation), 0.0))
+def _find_slide(
+    constants_a: AdaptationConstants,
+    constants_b: AdaptationConstants,
+    state: PairAdaptation,
+    travel: float,
+    T_a: float,
+    T_b: float,
+) -> float:
+    """Return the direction of the joint at the end of a piece in which both tendons slid, else 0.
+
+    The joint travels as the motors do, `travel` [m], less half of what the elongations change by.
+    Whatever K is, the pulled tendon is elongated by at most L/EA T_in, and the other one was, where
+    the motors turned.
+    """
+    a, b = state.a, state.b
+    if math.isnan(state.travel):
+        state.travel = travel
+    before = state.travel
+    state.travel = signals.update_play(before, travel, TURN_BAND)
+    if state.travel == before:
+        return 0.0
+    direction = math.copysign(1.0, state.travel - before)
+    if direction != state.direction:
+        state.direction, state.turn_travel, state.piece_travel = direction, before, before
+        a.turn_tension, b.turn_tension = T_a, T_b
+        a.piece_tension, b.piece_tension = T_a, T_b
+    piece = abs(state.travel - state.piece_travel)
+    if piece < PIECE_TRAVEL:
+        return 0.0
+    if direction > 0.0:
+        elongation = constants_a.compliance * T_a + constants_b.compliance * b.turn_tension
+        reversal = _slide_fully(constants_b, state.mean[3:6], 1.0, T_b, np.zeros(3))
+        recoil = constants_a.compliance * (a.piece_tension - T_a)
+    else:
+        elongation = constants_b.compliance * T_b + constants_a.compliance * a.turn_tension
+        reversal = _slide_fully(constants_a, state.mean[:3], 1.0, T_a, np.zeros(3))
+        recoil = constants_b.compliance * (b.piece_tension - T_b)
+    state.piece_travel = state.travel
+    a.piece_tension, b.piece_tension = T_a, T_b
+    slide = abs(state.travel - state.turn_travel) - 0.5 * elongation - reversal
+    is_driven = direction * (T_a - T_b) > 0.0  # by the motor, not by the environment
+    return direction if is_driven and slide > SLIDE_MARGIN and recoil < 0.5 * piece else 0.0
 
 
 @jit_compile
-def _predict_elongations(constants: AdaptationConstants, state: PairTendon, T_in: float) -> Array:
-    """Return the elongations [m] of all profiles if T_in + tau went on to `T_in` [N]."""
-    tension = state.tension.copy()
-    _sweep(tension, state.pull_ratio[:], state.release_ratio[:], T_in)
-    e = np.zeros(ROWS)
-    for n in range(CELLS + 1):
-        e += constants.cell_weight[n] * tension[n]
-    return e
+def _slide_fully(
+    constants: AdaptationConstants, log_factor: Array, rho: float, T_in: float, slope: Array
+) -> float:
+    """Return the elongation [m] while all slides, with `rho` -1 towards the motor.
+
+    `slope` becomes its derivatives by the log factors of the thirds. `T_in` [N] includes tau.
+    """
+    T, e, depth = T_in, constants.cell_weight[0] * T_in, np.zeros(3)
+    slope[:] = 0.0
+    for n in range(CELLS):
+        third = 3 * n // CELLS
+        ds = rho * constants.cell_friction * math.exp(log_factor[third])
+        depth[third] += ds
+        T *= math.exp(ds)
+        e += constants.cell_weight[n + 1] * T
+        for k in range(3):
+            slope[k] += constants.cell_weight[n + 1] * T * depth[k]
+    return float(e)
 
 
 @jit_compile
@@ -341,52 +394,116 @@ def _take_evidence(
     constants_a: AdaptationConstants,
     constants_b: AdaptationConstants,
     state: PairAdaptation,
-    travel: float,
+    direction: float,
+    q_a: float,
+    q_b: float,
     T_a: float,
     T_b: float,
+    rho_a: float,
+    rho_b: float,
 ) -> None:
-    """Update the filter once the elongations have changed; `travel` [m] is that of both motors."""
-    a, b = state.a, state.b
-    change = (
-        abs(a.elongation - a.last_elongation) / constants_a.compliance
-        + abs(b.elongation - b.last_elongation) / constants_b.compliance
-    )
-    if change < PIECE_TENSION:
-        return
-    lag = abs(a.elongation - a.last_elongation) + abs(b.elongation - b.last_elongation)
-    lag *= LAG_S / max(state.age, LAG_S)
-    a.last_elongation, b.last_elongation = a.elongation, b.elongation
-    weight, state.age = TEMPER * min(state.age / PIECE_S, 1.0), 0.0
-    if weight == 0.0:
-        return
-    # as T_in is, not behind its dead band, which would make hysteresis look small
-    e_a, e_b = _predict_elongations(constants_a, a, T_a), _predict_elongations(constants_b, b, T_b)
-    slope = np.ones(STATES)
-    residual = travel - e_a[IN_USE] - e_b[IN_USE]
+    """Update the filter by a piece in which both tendons slid; tensions [N] include tau."""
+    weight, state.age = TEMPER * min(max(state.age / PIECE_S, 0.01), 1.0), 0.0
+    slope, sign_a, sign_b = np.zeros(STATES), -1.0, rho_b
+    if direction < 0.0:
+        sign_a, sign_b = rho_a, -1.0
+    e_a = _slide_fully(constants_a, state.mean[:3], sign_a, T_a, slope[:3])
+    e_b = _slide_fully(constants_b, state.mean[3:6], sign_b, T_b, slope[3:6])
+    slope[FRICTIONS], slope[FRICTIONS + 1], slope[CONSTANT] = e_a, e_b, 1.0
+    noise = ELONGATION_NOISE**2 + ELONGATION_ACCURACY**2 * (e_a**2 + e_b**2)
+    noise += (constants_a.variance + constants_b.variance) / 9.0
+    _compare_elongations(state, slope, q_a + q_b - e_a - e_b, noise / weight)
+    way = 0 if direction > 0.0 else 1
+    n = state.passes[way] % PASSES
+    state.passes[way] += 1
+    state.place[way, n], state.pass_time[way, n] = 0.5 * (q_a - e_a - q_b + e_b), state.time
+    state.pass_tension[way, n, 0], state.pass_tension[way, n, 1] = T_a, T_b
+    m = _find_pass_back(state, way, n)
+    if m >= 0:
+        state.place[way, n] = state.place[1 - way, m] = math.nan
+        to_a, to_b = state.pass_tension[way, n], state.pass_tension[1 - way, m]
+        if way == 1:
+            to_a, to_b = to_b, to_a
+        _compare_passes(constants_a, constants_b, state, to_a, to_b, rho_a, rho_b, weight)
+
+
+@jit_compile
+def _compare_elongations(
+    state: PairAdaptation, slope: Array, residual: float, noise: float
+) -> None:
+    """Update the filter by what the travels leave over the elongations (T21) [m]."""
     if math.isnan(state.mean[CONSTANT]):
         state.mean[CONSTANT] = residual
-    slope[FRICTIONS], slope[FRICTIONS + 1] = e_a[IN_USE], e_b[IN_USE]
-    for k in range(FRICTIONS, STATES):
+    for k in range(FRICTIONS, CONSTANT + 1):
         residual -= slope[k] * state.mean[k]
-    for k in range(3):
-        slope[k] = (e_a[k] - e_a[IN_USE]) / PERTURBATION
-        slope[k + 3] = (e_b[k] - e_b[IN_USE]) / PERTURBATION
-        residual -= slope[k] * (state.mean[k] - math.log(a.factor[k]))
-        residual -= slope[k + 3] * (state.mean[k + 3] - math.log(b.factor[k]))
-    doubt = ROOM_SHARE * (_compute_room(constants_a, a) + _compute_room(constants_b, b)) + lag
-    noise = ELONGATION_FLOOR**2 + doubt**2 + (constants_a.variance + constants_b.variance) / 9.0
-    a.pieces += 1
-    b.pieces += 1
-    if residual**2 > MISFIT_MAX * (float(slope @ state.covariance[:] @ slope) + noise):
-        a.contradictions += 1
-        b.contradictions += 1
-        _widen(state, 0, weight * MISFIT_SIGMA**2)
-        _widen(state, 3, weight * MISFIT_SIGMA**2)
+    state.a.pieces += 1
+    state.b.pieces += 1
+    if _fits(state, slope, residual, noise):
+        _update_filter(state, slope, residual, noise)
+    else:
+        state.a.contradictions += 1
+        state.b.contradictions += 1
+        _widen(state, 0, TEMPER * MISFIT_SIGMA**2)
+        _widen(state, 3, TEMPER * MISFIT_SIGMA**2)
+
+
+@jit_compile
+def _find_pass_back(state: PairAdaptation, way: int, n: int) -> int:
+    """Return the newest pass of the place of pass `n` the other way, -1 if there is none."""
+    newest = -1
+    for m in range(PASSES):
+        if abs(state.place[1 - way, m] - state.place[way, n]) < PASS_DISTANCE and (
+            newest < 0 or state.pass_time[1 - way, m] > state.pass_time[1 - way, newest]
+        ):
+            newest = m
+    return newest if state.time - state.pass_time[1 - way, newest] < PASS_S else -1
+
+
+@jit_compile
+def _compare_passes(
+    constants_a: AdaptationConstants,
+    constants_b: AdaptationConstants,
+    state: PairAdaptation,
+    to_a: Array,
+    to_b: Array,
+    rho_a: float,
+    rho_b: float,
+    weight: float,
+) -> None:
+    """Update the filter by tensions [N] of a and b as the joint passed a place both ways (T22)."""
+    slope_a = _compute_friction_slope(constants_a, state, 0)
+    slope_b = _compute_friction_slope(constants_b, state, 3)
+    K_a, K_b = slope_a.sum(), slope_b.sum()
+    pulled_a, released_b = to_a[0] * math.exp(-K_a), to_a[1] * math.exp(rho_b * K_b)
+    pulled_b, released_a = to_b[1] * math.exp(-K_b), to_b[0] * math.exp(rho_a * K_a)
+    residual = pulled_a - released_b + pulled_b - released_a - 2.0 * state.mean[JOINT]
+    slope = slope_a * (pulled_a + rho_a * released_a) + slope_b * (pulled_b + rho_b * released_b)
+    slope[JOINT] = 2.0
+    size = 0.5 * (pulled_a + released_b + pulled_b + released_a)
+    noise = (2.0 * LOAD_NOISE**2 + (2.0 * LOAD_ACCURACY * size) ** 2) / weight
+    share = 1.0 / JUMP_PASSES
+    if _fits(state, slope, residual, noise * weight):
+        _update_filter(state, slope, residual, noise)
+        state.excess_share *= 1.0 - share
+        for tendon, change in ((state.a, slope[:3].sum()), (state.b, slope[3:6].sum())):
+            distinction = (APART * change) ** 2 / noise
+            tendon.evidence_age *= math.exp(-0.5 * min(distinction, EVIDENCE_MAX))
         return
-    _update_filter(state, slope, residual, noise / weight)
-    for tendon, first in ((a, 0), (b, 3)):
-        told = (APART * slope[first : first + 3].sum()) ** 2 * weight / noise
-        tendon.evidence_age *= math.exp(-0.5 * min(told, EVIDENCE_MAX))
+    difference = residual / size - state.excess
+    agreement = 1.0 if abs(difference) < JUMP_AGREEMENT else 0.0
+    state.excess += difference * (0.1 if agreement == 1.0 else 0.3)
+    state.excess_share += share * (agreement - state.excess_share)
+    if state.excess_share > JUMP_SHARE:
+        state.excess_share = 0.0
+        for first in (0, 3):
+            _widen(state, first, (state.excess / (K_a + K_b)) ** 2)
+
+
+@jit_compile
+def _fits(state: PairAdaptation, slope: Array, residual: float, noise: float) -> bool:
+    """Return whether a residual is within the filter's covariance and its `noise`."""
+    variance = float(slope @ state.covariance[:] @ slope) + noise
+    return residual**2 <= MISFIT_MAX * variance
 
 
 @jit_compile
@@ -397,8 +514,6 @@ def _update_filter(state: PairAdaptation, slope: Array, residual: float, noise: 
     gain /= predicted + noise
     state.mean += gain * residual
     state.covariance -= np.outer(gain, gain) * (predicted + noise)
-    kept = np.eye(STATES) - np.outer(gain, slope)
-    state.noise[:] = kept @ state.noise[:] @ kept.T + np.outer(gain, gain) * noise
 
 
 @jit_compile
@@ -417,11 +532,10 @@ def _take_loop(
     slope = _compute_friction_slope(constants, state, first)
     K = float(slope.sum())
     noise = (LOOP_ACCURACY * K) ** 2
-    predicted = float(slope @ state.covariance[:] @ slope)
-    if (measured - K) ** 2 > MISFIT_MAX * (predicted + noise):
-        _widen(state, first, MISFIT_SIGMA**2)
-        return
-    _update_filter(state, slope, measured - K, noise / LOOP_TEMPER)  # not `evidence_age`: pieces do
+    if _fits(state, slope, measured - K, noise):  # `evidence_age` stays: see `adaptation.observe`
+        _update_filter(state, slope, measured - K, noise / LOOP_TEMPER)
+    else:
+        _widen(state, first, math.log(measured / K) ** 2)
 
 
 @jit_compile
@@ -443,11 +557,10 @@ def _adapt(
     prepared: PreparedTendon,
     estimator: EstimatorState,
     first: int,
-    compliance_ratio: float,
     is_usable: bool,
     dt: float,
 ) -> None:
-    """Let the filter age and the model follow it; the ratio is L/EA of the other over this one."""
+    """Let the filter age and the model follow it."""
     tendon.update_age += dt
     tendon.evidence_age += dt
     if tendon.update_age < UPDATE_S:
@@ -460,29 +573,28 @@ def _adapt(
     tendon.K = slope.sum()
     _widen(state, first, DRIFT**2 * tendon.update_age)
     state.covariance[CONSTANT, CONSTANT] += 0.5 * CONSTANT_DRIFT**2 * tendon.update_age
+    state.covariance[JOINT, JOINT] += 0.5 * JOINT_DRIFT**2 * tendon.update_age
     tendon.update_age = 0.0
     error = SIGMAS * math.sqrt(max(float(slope @ (state.covariance[:] @ slope)), 0.0))
     tendon.low = max(tendon.K - error, constants.K[0])
     tendon.high = min(tendon.K + error, constants.K[FACTOR_COUNT - 1])
-    sure = SIGNIFICANCE * math.sqrt(max(float(slope @ (state.noise[:] @ slope)), 0.0))
-    calibrated = constants.cell_friction * CELLS
-    least = max(CHANGE_MIN * calibrated, MODEL_ERROR * (1.0 + compliance_ratio))
-    tendon.adapted |= abs(tendon.K - calibrated) > max(sure, least)
     K = prepared.tables[_K]
     if is_usable or has_loop(constants, tendon):
         follow_estimate(constants, tendon, prepared)
         if tendon.adapted:
             _set_friction(constants, tendon, prepared.tables[_ASYMMETRY])
             _sweep(tendon.tension[:], tendon.pull_ratio[:], tendon.release_ratio[:], tendon.drive)
-            tendon.elongation = _elongate(constants, tendon, IN_USE)
-            resize_profiles(prepared, estimator, tendon.tension[CELLS, IN_USE])
+            before = tendon.elongation
+            tendon.elongation = _elongate(constants, tendon)
+            tendon.tip -= tendon.elongation - before  # no travel
+            resize_profiles(prepared, estimator, tendon.tension[CELLS])
     hold_interval(constants, tendon, prepared, estimator, K)
 
 
 @jit_compile
 def _write_estimate(state: PairTendon, prepared: PreparedTendon, estimate: TendonEstimate) -> None:
     drag = prepared.tables[_DRAG]
-    T_out = state.tension[CELLS, IN_USE] - drag
+    T_out = state.tension[CELLS] - drag
     estimate.distal_tension = min(max(T_out, estimate.low), estimate.high)
     e = state.elongation - drag * prepared.tables[_LENGTH] / prepared.tables[_EA]
     estimate.distal_displacement += estimate.elongation - e

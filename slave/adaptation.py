@@ -199,9 +199,9 @@ def compute_friction(
     prepared: StructArray, adapter: TendonAdapter | None, tendon: int
 ) -> TendonFriction:
     """Return K in use of a tendon, with its interval."""
-    one = prepared[tendon]
-    K = float(one["tables"][_K])
-    error = float(one["friction_error"] * K + one["adaptation_error"])
+    model = prepared[tendon]
+    K = float(model["tables"][_K])
+    error = float(model["friction_error"] * K + model["adaptation_error"])
     low, high = K - error, K + error
     if adapter is not None and adapter.constants["active"][tendon]:  # the wider side counts twice
         bounds = adapter.constants["K"][tendon]
@@ -235,7 +235,7 @@ class ShapeWatch:
 
     def __init__(self, prepared: StructArray, adapter: TendonAdapter) -> None:
         self._prepared, self._adapter = prepared, adapter
-        self._shapes = [_Shape(float(one["tables"][_K])) for one in prepared]
+        self._shapes = [_Shape(float(model["tables"][_K])) for model in prepared]
 
     def update(self, time_s: float) -> Iterator[ShapeChange]:
         """Yield what is new at `time_s` [s]."""

@@ -5,6 +5,7 @@ python -m studies.adaptation --unchanged         the same without a change, with
 python -m studies.adaptation --pair              the tendons of as many pairs
 python -m studies.adaptation --loop --settle 3   with a sensing loop in each tube, after 3 s
 python -m studies.adaptation --tip               the bend at the tip changes, no other
+python -m studies.adaptation --pair --spring 300 pairs whose joint has a return spring [N/m]
 
 The plant is the simulated rig's chain of springs and Coulomb nodes, which knows nothing of the
 adaptation. A sheath keeps its shape for `CHANGE_S` of use, then the friction of all or of one bend
@@ -177,6 +178,7 @@ class Conditions(NamedTuple):
     after: float = AFTER_S  # [s] for which it is scored
     knobs: Knobs = NEUTRAL  # of the tendons
     backlash: float = 0.0  # [m] of the joint
+    spring: float = 0.0  # [N/m] of the joint of a pair
     tissue: TissueConfig | None = None  # None: random
     drift: float = 0.0  # [N] amplitude of the zero of each load cell
     expansion: float = 0.0  # [m] amplitude of each tendon's length
@@ -214,7 +216,7 @@ def simulate_use(seed: int, pair: bool, given: Conditions = ORDINARY) -> Use:
         K_after.append(float((before[-1] * (1.0 + change[-1])).sum()))
         loop = build_loop(SensingLoopConfig(LOOP_FRICTION * config.friction), config)
         loops.append((loop, change[-1]))
-    spring = 0.0 if pair else float(rng.uniform(200.0, 1000.0))
+    spring = given.spring if pair else float(rng.uniform(200.0, 1000.0))
     body = BodyConfig(
         friction=float(rng.uniform(0.0, 0.3)),
         spring=spring,
@@ -323,6 +325,7 @@ def main() -> None:
         tip=(False, "the bend at the tip changes"),
         minutes=(AFTER_S / 60.0, "time of use that is scored"),
         pair=(False, "both tendons of pairs; those that stay the same are reported apart"),
+        spring=(0.0, "of the joint of a pair [N/m]"),
     )
     scores = []
     for k in range(options.sheaths):
@@ -332,6 +335,7 @@ def main() -> None:
             has_loops=options.loop,
             settle=options.settle,
             after=60.0 * options.minutes,
+            spring=options.spring,
         )
         use = simulate_use(options.first + k, options.pair, conditions)
         scores += score_use(use, options.settle)
