@@ -33,19 +33,16 @@ def test_each_wrong_certificate_is_refused_in_words_and_the_right_one_is_not() -
     revoked = of(authority, MASTER)
     authority = authority.revoke(revoked.certificate.serial_number)
     slave = Handshake(of(authority, SLAVE), "test", 1)
+    viewer, router = (
+        MASTER._replace(role=role) for role in (CertificateRole.VIEWER, CertificateRole.ROUTER)
+    )
     for credentials, complaint in (
         (of(authority, MASTER, -0.5, NOW - timedelta(days=1)), r"master\.test expired on"),
         (of(authority, MASTER, 1.0, NOW + timedelta(hours=1)), r"valid from .* check the clock"),
         (revoked, r"master\.test was revoked"),
-        (
-            of(authority, Identity(CertificateRole.VIEWER, "test")),
-            r"master with the certificate viewer\.",
-        ),
-        (
-            of(authority, Identity(CertificateRole.ROUTER, "test")),
-            r"master with the certificate router\.",
-        ),
-        (of(authority, Identity(CertificateRole.MASTER, "other")), r"master of session 'other'"),
+        (of(authority, viewer), r"master with the certificate viewer\."),
+        (of(authority, router), r"master with the certificate router\."),
+        (of(authority, MASTER._replace(session="other")), r"master of session 'other'"),
         (of(Authority.create("theirs", 2), MASTER), r"master\.test is of another authority"),
     ):
         with pytest.raises(CertificateError, match=complaint):
