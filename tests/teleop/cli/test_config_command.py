@@ -1,10 +1,7 @@
 """`teleop config`: values with their sources, and a page of keys that is the loader's."""
 
 import json
-import os
 import re
-import subprocess
-import sys
 
 import pytest
 
@@ -192,30 +189,24 @@ class Spring(RigExtension):
 '''
 
 
-def test_an_installed_extension_is_on_the_page_and_its_defaults_are_called_so(tmp_path):
+def test_an_installed_extension_is_on_the_page_and_its_defaults_are_called_so(
+    tmp_path, monkeypatch, capsys
+):
     info = tmp_path / "lab-1.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: lab\nVersion: 1\n")
     points = "[teleop.rigs]\nspring = lab_rig:Spring\nlost = no_such_module:Rig\n"
     (info / "entry_points.txt").write_text(points)
     (tmp_path / "lab_rig.py").write_text(EXTENSION)
-    paths = os.pathsep.join([str(tmp_path), str(ROOT)])
-
-    words = [
-        ["config", "reference", "--section", "slave.rig"],
-        ["config", "show", "--set", "slave.rig={type: spring}", "--section", "slave.rig"],
-    ]
-    text = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            f"from teleop.cli import commands; [commands.main(w) for w in {words}]",
-        ],
-        env=os.environ | {"PYTHONPATH": paths, "COLUMNS": "100"},
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(reference, "list_sections", reference.list_sections.__wrapped__)  # a cache
+    monkeypatch.setenv("COLUMNS", "100")
+    for words in (
+        ["reference", "--section", "slave.rig"],
+        ["show", "--set", "slave.rig={type: spring}", "--section", "slave.rig"],
+    ):
+        assert commands.main(["config", *words]) == 0
+    text = capsys.readouterr().out
     assert "slave.rig (spring): A spring of a laboratory" in text
     assert "default 10.0 N/m\n      of the spring. Allowed: 1 to 99 N/m" in text
     assert "slave.rig (lost): no_such_module:Rig: no module 'no_such_module'" in text
