@@ -66,9 +66,9 @@ COMPILE_S = 12.0  # [s] without a cache, on a machine that does nothing else
 # share of a period, from reading the device, in which to wait for an answer
 ANSWER_WAIT_SHARE = 0.6
 LATE_ANSWERS_MAX = 20  # in a row, after which the master stops waiting for same-tick answers
-_CLOCK_SET, _ENGAGED = int(Reason.CLOCK_SET), int(State.ENGAGED)
-PRESSES_PER_S = 10  # events of buttons, and as many at once; a worn switch bounces
 RETRY_TICKS = 100  # ticks between two waits after that, to detect answers in time again
+PRESSES_PER_S = 10  # events of buttons, and as many at once; a worn switch bounces
+_CLOCK_SET, _ENGAGED = int(Reason.CLOCK_SET), int(State.ENGAGED)
 
 
 class MasterProcess(LoopProcess):
@@ -141,31 +141,15 @@ class MasterProcess(LoopProcess):
         """Read, command, wait for the answer, render; then the work that is not time-critical."""
         fault, hand, absence = self._read((tick.stamp_ns - self._start_ns) * 1e-9)
         self._link.take_latest(STATE)
-        requests = self._requests(tick.stamp_ns, int(self._stops[0]))
+        requests = self._requests.take_requests(tick.stamp_ns, int(self._stops[0]))
         if requests.stop_text or requests.settings:
             self._process_requests(requests)
-        self._live, changed = live_settings.update_settings(self._live, hand, tick.dt)
-        config = self._live.config
-        settings = self._settings.update(
-            config if self._link_scale == 1.0 else self._scale_config(config)
-        )
+        settings, changed = self._update_settings(hand, tick.dt)
         fill_hand_input(self._hands, hand)
         if self._mapper is not None:
-            self._mapper.step(self._hands, self._memory, config.operator.position_scale, tick.dt)
-        outputs = (self._command.records,)
-        compute: Callable[..., None]
-        compute = partial(self._run_phase, loop.compute_command, outputs, settings)
-        if self._coupling_extension is not None:
-            self._coupling_extension.start_tick()
-            compute = partial(
-                self._coupling_extension.compute_command, compute, self._command.records
-            )
-        try:
-            self._checkpoint.run_step(partial(compute, fault, requests), now_ns(), tick.dt)
-        except ExtensionFault as error:
-            self._checkpoint.restore()
-            fault = self._end_on_extension_fault(error)
-            compute(fault, requests, now_ns(), tick.dt)
+            scale = self._live.config.operator.position_scale
+            self._mapper.step(self._hands, self._memory, scale, tick.dt)
+        fault = self._compute_command(settings, tick, fault, requests)
         state_ns = self._states.stamp_ns  # of the state that the command has used
         sent_ns = 0
         if self._index % self._commands_every == 0:
@@ -214,6 +198,33 @@ class MasterProcess(LoopProcess):
             return self._end_on_device_fault(error), None, ""
         finally:
             self._reads.add(now_ns() - begin_ns)
+
+    def _update_settings(self, hand: HandState | None, dt: float) -> tuple[StructArray, str]:
+        """Advance the settings that ramp; return their record, and what has changed, as text."""
+        self._live, changed = live_settings.update_settings(self._live, hand, dt)
+        config = self._live.config
+        scaled = config if self._link_scale == 1.0 else self._scale_config(config)
+        return self._settings.update(scaled), changed
+
+    def _compute_command(
+        self, settings: StructArray, tick: Tick, fault: Reason, requests: Requests
+    ) -> Reason:
+        """Run the first phase; return its fault, that of an extension if it has one."""
+        outputs = (self._command.records,)
+        compute: Callable[..., None]
+        compute = partial(self._run_phase, loop.compute_command, outputs, settings)
+        if self._coupling_extension is not None:
+            self._coupling_extension.start_tick()
+            compute = partial(
+                self._coupling_extension.compute_command, compute, self._command.records
+            )
+        try:
+            self._checkpoint.run_step(partial(compute, fault, requests), now_ns(), tick.dt)
+        except ExtensionFault as error:
+            self._checkpoint.restore()
+            fault = self._end_on_extension_fault(error)
+            compute(fault, requests, now_ns(), tick.dt)
+        return fault
 
     def _run_phase(
         self,

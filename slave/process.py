@@ -141,7 +141,7 @@ class SlaveProcess(LoopProcess):
         fault = self._read(time_s)
         commands = self._link.take_latest(COMMAND)
         now = now_ns()
-        requests = self._requests(now, int(self._stops[0]))
+        requests = self._requests.take_requests(now, int(self._stops[0]))
         if requests.stop_text and self._outline().state is not State.STOPPED:
             self._telemetry.stop_text = requests.stop_text  # of the first caller
         if self._extensions is not None:
@@ -197,9 +197,8 @@ class SlaveProcess(LoopProcess):
                 self._rig.write(self._gated_position[: self._rig.tendons].copy())
                 self._writes.add(now_ns() - begin_ns)
             return
-        self._has_gated_position[0] = (
-            False  # the next engagement begins where the encoders are by then
-        )
+        # the next engagement begins where the encoders are by then
+        self._has_gated_position[0] = False
         if not self._is_rig_stopped:
             self._emergency_stop()
             self._is_rig_stopped = True
@@ -294,7 +293,7 @@ class SlaveProcess(LoopProcess):
         self._score.add_rows(slave.layout, rows, sample_count)
         self._finish_requests(outline, requests, self._commands, tick.stamp_ns)
         self._publish_ledger(tick.stamp_ns)
-        self._telemetry(time_s)
+        self._telemetry.publish(time_s)
         self._watch_link(tick.stamp_ns, self._commands, int(self._echo_ns[0]), 0)
         self._report(tick.stamp_ns, self._commands)
         has_own_estimator = self._extensions is not None and self._extensions.estimates is not None
@@ -432,7 +431,7 @@ def _calibrate_rig(
     """Return the model of a rig by the quick procedure, and `history` with the samples of it."""
 
     def check_stop() -> str:
-        pending = requests(now_ns())
+        pending = requests.take_requests(now_ns())
         master = link.take_latest(COMMAND).message
         if pending.stop:
             call_stop(link, Role.SLAVE, pending.stop_text or pending.stop.text)

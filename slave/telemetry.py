@@ -70,12 +70,12 @@ class Telemetry:
         self._next_shape_s = 0.0
         self.shape_changes: list[str] = []
 
-    def __call__(self, time_s: float) -> None:
+    def publish(self, time_s: float) -> None:
         """Publish the messages due at session time `time_s` [s]."""
         outline = self._outline()
         published = self._published
-        told_once = outline.state is State.FAULT or outline.reason is Reason.CALIBRATION_DUE
-        lasting = told_once and published is not None and published[0] == outline
+        is_published_once = outline.state is State.FAULT or outline.reason is Reason.CALIBRATION_DUE
+        lasting = is_published_once and published is not None and published[0] == outline
         if not (lasting and self.detail):  # the origin of a fault, not its later symptoms
             self.detail = self._describe_reason(outline.reason)
         now = outline, self.detail

@@ -108,7 +108,7 @@ class RequestListener:
         self._settings: deque[SettingRequest] = deque()
         self._before = SessionOutline()
 
-    def __call__(self, now_ns: int, stops: int = 0) -> Requests:
+    def take_requests(self, now_ns: int, stops: int = 0) -> Requests:
         """Return the requests since the last call, at `now_ns` [ns], that their senders may make.
 
         A reset is valid if it gives the newest of our `stops`, so that it cannot reset a later

@@ -55,7 +55,7 @@ def watched(line):
     """A side that a process watches."""
     requests = RequestListener(line)
     line.send(WATCH, 0)
-    assert requests(0).stop is Reason.NONE
+    assert requests.take_requests(0).stop is Reason.NONE
     return requests
 
 
@@ -64,17 +64,17 @@ def test_a_watch_that_leaves_is_no_stop_though_its_token_vanished_before_that_wa
     line.send(LEAVE, 1 * MS)
     line.here = False
     for now in (2, 3, 1000):
-        assert requests(now * MS).stop is Reason.NONE
+        assert requests.take_requests(now * MS).stop is Reason.NONE
 
 
 def test_a_watch_that_vanishes_or_falls_silent_is_a_stop(line):
     requests = watched(line)
     line.here = False
-    assert requests(1 * MS).stop is Reason.WATCH_LOST
+    assert requests.take_requests(1 * MS).stop is Reason.WATCH_LOST
     line.here = True
     requests = watched(line)
-    assert requests(240 * MS).stop is Reason.NONE
-    assert requests(260 * MS).stop is Reason.WATCH_LOST
+    assert requests.take_requests(240 * MS).stop is Reason.NONE
+    assert requests.take_requests(260 * MS).stop is Reason.WATCH_LOST
 
 
 @pytest.mark.parametrize("action", [CALL, WATCH])
@@ -82,9 +82,9 @@ def test_nothing_else_counts_of_a_process_that_is_not_here(line, action):
     requests = RequestListener(line)
     line.here = False
     line.send(action, 0)
-    assert requests(0).stop is Reason.NONE
+    assert requests.take_requests(0).stop is Reason.NONE
     line.here = True
-    assert requests(1000 * MS).stop is Reason.NONE
+    assert requests.take_requests(1000 * MS).stop is Reason.NONE
 
 
 @pytest.mark.parametrize(
