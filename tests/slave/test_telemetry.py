@@ -33,7 +33,7 @@ def said(monkeypatch):
 
 
 @pytest.fixture
-def memory_and_tell():
+def memory_and_telemetry():
     """Return what a slave remembers, to be set, and what tells of it."""
     return started()
 
@@ -54,32 +54,32 @@ def find(memory, tendon):
     memory.faulty_tendon = -1 if tendon is None else tendon
 
 
-def test_a_fault_keeps_the_place_where_it_began_and_is_told_once(said, memory_and_tell):
-    memory, tell = memory_and_tell
+def test_a_fault_keeps_the_place_where_it_began_and_is_told_once(said, memory_and_telemetry):
+    memory, telemetry = memory_and_telemetry
     enter(memory, State.FAULT, Reason.TENDON_BROKEN)
     for tendon in (1, None, 1, 2, None):
         find(memory, tendon)
-        tell(0.0)
-        assert tell.detail == "joint 1, tendon b"
+        telemetry.publish(0.0)
+        assert telemetry.detail == "joint 1, tendon b"
     assert said == [NAMED]
 
 
-def test_a_fault_that_comes_again_is_told_again_and_where(said, memory_and_tell):
-    memory, tell = memory_and_tell
+def test_a_fault_that_comes_again_is_told_again_and_where(said, memory_and_telemetry):
+    memory, telemetry = memory_and_telemetry
     broken, ready = (State.FAULT, Reason.TENDON_BROKEN), (State.READY, Reason.RELEASED)
     for side, tendon in ((broken, 1), (ready, None), (broken, 2)):
         enter(memory, *side)
         find(memory, tendon)
-        tell(0.0)
+        telemetry.publish(0.0)
     assert said[0] == NAMED
     assert said[2] == f"fault: {Reason.TENDON_BROKEN.text}: joint 2, tendon a"
 
 
 def test_while_not_usable_every_new_reason_is_told(said):
-    memory, tell = started("its calibration is of another rig")
+    memory, telemetry = started("its calibration is of another rig")
     for why in (NO_SAMPLE, NO_SAMPLE, NOT_CALIBRATED, NO_POSITION):
         memory.readiness = why
-        tell(0.0)
+        telemetry.publish(0.0)
     assert [line.split(": ", 2)[-1] for line in said] == [
         NOT_READY_TEXT[NO_SAMPLE],
         "its calibration is of another rig",
