@@ -196,6 +196,7 @@ def test_a_clock_set_back_while_messages_are_lost_is_learnt_anew_when_that_is_fo
         assert line.acted_upon is None  # late, for all that its stamps can say
         if k == 20:
             line.latest.was_clock_set()
+            assert line.acted_upon is None
     assert line.latest.counts.clock_jumps == 1
     for _ in range(SETTLE_NS // MS):
         line.now += MS
