@@ -19,7 +19,7 @@ from estimator.diagnosis.file_causes import confine_effects, find_odd_file
 from estimator.diagnosis.fit import fit_model, refit_baseline
 from estimator.diagnosis.hidden_motion import may_hide_motion, recover_motion_beside_effects
 from estimator.diagnosis.intervals import estimate_intervals, is_significant
-from estimator.diagnosis.measured_data import shorten_blocks
+from estimator.diagnosis.measured_data import hold_out_aperiodically, shorten_blocks
 from estimator.diagnosis.outcome import CauseStep, RankedCandidate
 from estimator.diagnosis.rivals import find_rivals
 from estimator.diagnosis.scoring import (
@@ -509,30 +509,48 @@ def _find_function(result: CauseSearchResult, search: CauseSearch) -> CauseSearc
     is_complete = set(NAMES) <= {effect.name for effect in search.effects}
     functions = [effect for effect in search.effects if effect.function is not None]
     functions = list(build_functions(columns)) if is_complete else functions
+    cycles = [effect for effect in functions if effect.function and effect.function.is_periodic]
+    others = [effect for effect in functions if effect not in cycles]
     best: CauseSearchResult | None = None
     base = result._replace(steps=[], fit=result.base_fit)
     for start in (base, *([result] if result.steps else [])) if functions else ():
-        place = f" beside {start.steps[0].effect.name}" if start.steps else ""
-        if not search.budget.has_time(f"free functions{place}"):
-            break
-        candidates = fit_functions(
-            start.dataset, start.fit, functions, search.report, search.workers
-        )
-        step = find_next_cause(start.dataset, start.base_fit, start.fit, candidates)
-        if step is not None:
-            extended = start.add_step(step)
+        for group, what in ((others, "free functions"), (cycles, "cycles")):
+            # beside a named cause, or a function, it could only follow noise
+            if best is not None and _is_explained(best):
+                return best
+            place = f" beside {start.steps[0].effect.name}" if start.steps else ""
+            if not group or not search.budget.has_time(f"{what}{place}"):
+                continue
+            begin = _hold_out_aperiodically(start) if group is cycles else start
+            candidates = fit_functions(
+                begin.dataset, begin.fit, group, search.report, search.workers
+            )
+            step = find_next_cause(begin.dataset, begin.base_fit, begin.fit, candidates)
+            if step is None:
+                continue
+            extended = begin.add_step(step)
             if best is None or _compute_evidence(extended, best) > SETTINGS.score_min:
                 best = extended
-        if best is not None and _is_explained(best):
-            break  # beside a named cause it could only follow noise
     return best
+
+
+def _hold_out_aperiodically(result: CauseSearchResult) -> CauseSearchResult:
+    """Return a result with other halves of its records, and refitted to them."""
+    records = tuple(map(hold_out_aperiodically, result.dataset.records))
+    dataset = result.dataset._replace(records=records)
+    base_fit = refit_baseline(rescale_residuals(dataset, result.base_fit), result.base_fit)
+    if not result.steps:
+        return result._replace(dataset=dataset, base_fit=base_fit, fit=base_fit)
+    contexts, weighted = build_contexts(dataset, base_fit), rescale_residuals(dataset, result.fit)
+    fit = fit_model(weighted, contexts, result.fit.model, FINAL_ROUNDS)
+    return result._replace(dataset=dataset, base_fit=base_fit, fit=fit)
 
 
 def _is_function_better(with_function: CauseSearchResult, named: CauseSearchResult) -> bool:
     """Return whether a free function explains what named causes do not; as good, they are named."""
     if _is_explained(named):
         return False
-    errors = (compute_errors(named.dataset, fit) for fit in (with_function.fit, named.fit))
+    errors = (compute_errors(result.dataset, result.fit) for result in (with_function, named))
     if compute_residual_fraction(*errors) < SETTINGS.free_function_fraction:
         return True
     is_unexplained = not named.steps or _compute_fraction(named) > SETTINGS.unexplained_fraction_max

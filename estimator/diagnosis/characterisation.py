@@ -44,7 +44,13 @@ from estimator.diagnosis.screening import (
 )
 from estimator.diagnosis.settings import SETTINGS, ProgressCallback
 from estimator.effects.effect import Effect, EffectContext
-from estimator.effects.functions import COEFFICIENTS, compute_penalty, penalise
+from estimator.effects.functions import (
+    COEFFICIENTS,
+    FUNCTIONS,
+    compute_basis,
+    compute_penalty,
+    penalise,
+)
 
 SUBSAMPLE_SIZE = 1200  # samples of a record in a first look
 ROUGHNESSES = (1e-4, 1e-3, 1e-2, 0.1, 1.0)  # weights of second differences, over that of the data
@@ -56,10 +62,11 @@ FITTED_SIZE = 8000  # samples of all records that a function is fitted to
 KEPT = 10, 4  # functions that are fitted to few samples, and to so many
 ROUNDS = 8, 15  # of these fits
 FOREIGN_RATIO = 1.5  # times what a model of a tendon may miss: such a first fit ends there
-PERIODS_MIN = 5  # of a cycle, in a record
-PERIODS_TRIED = 4  # of those that may be in a residual
-PERIOD_SAMPLES = 6  # at least, of a subsampled record
-FINE_FREQUENCIES = 33  # about the best of a coarse grid
+PERIODS_MIN, PERIODS_MAX = 3, 60  # of a cycle, in a record
+FREQUENCY_STEP = 0.1  # periods more in a record
+POWER_MIN = 1e-9  # squares of the residual: below it, nothing changes
+BUMPS = 240  # in a record, of which a response to any function of time is made
+PERIODS_TRIED = 16, 4  # that are simulated, and that are followed
 
 
 class _LinearStep(NamedTuple):
@@ -217,6 +224,14 @@ def _build_units(effect: Effect) -> list[list[float]]:
     return units
 
 
+def _compute_gain(A: Array, b: Array) -> float:
+    """Return by how much coefficients of information `A` and slope `b` lower the cost."""
+    power = float(np.trace(A)) / COEFFICIENTS
+    if power < POWER_MIN:
+        return 0.0
+    return float(b @ np.linalg.solve(A + ROUGHNESSES[0] * power * np.eye(COEFFICIENTS), b))
+
+
 class _Screening:
     """Linear steps of functions on top of a model, on few samples."""
 
@@ -236,24 +251,81 @@ class _Screening:
 
     def linearise(self, effect: Effect) -> list[_LinearStep]:
         """Return the linear steps for the range of the variable, or for each likely period."""
-        steps = (self._linearise(effect, shapes) for shapes in self._choose_shapes(effect))
-        return [step for step in steps if step is not None]
-
-    def _linearise(self, effect: Effect, shapes: tuple[float, ...]) -> _LinearStep | None:
-        """Return the linear step of a function; None where nothing changes."""
-        changes = [
-            self._simulate(effect, (*shapes, *row)) - self._residual for row in _build_units(effect)
+        if effect.function is None:
+            return []
+        if effect.function.is_periodic:
+            return self._linearise_periods(effect)
+        parts = [
+            effect.function.evaluate(context)[record.measured]
+            for record, context in zip(self._dataset.records, self._contexts, strict=True)
         ]
-        F = np.column_stack(changes)
-        if not np.isfinite(F).all():
-            return None
-        own = F - self._basis @ (self._basis.T @ F)
+        x = np.concatenate(parts)
+        low, high = float(x.min()), float(x.max())
+        if not high > low:
+            return []
+        changes = [
+            self._simulate(effect, (low, high, *row)) - self._residual
+            for row in _build_units(effect)
+        ]
+        return self._build_steps(effect, (low, high), np.column_stack(changes))
+
+    def _linearise_periods(self, effect: Effect) -> list[_LinearStep]:
+        """Return the linear steps for the periods with which held-out samples fit best.
+
+        The response to any function of time is made of those to narrow bumps, so that a period
+        costs no simulation; the periods that could explain most are then simulated.
+        """
+        name = effect.name.replace("_by_phase", "_by_time")
+        over_time = next(function for function in FUNCTIONS if function.name == name)
+        duration = float(np.ptp(self._dataset.records[0].time))
+        spacing = duration / BUMPS
+        centres = np.asarray(spacing * (np.arange(BUMPS) + 0.5), dtype=np.float64)
+        bump = COEFFICIENTS * [0.0]
+        bump[COEFFICIENTS // 2] = effect.parameters[-1].step
+        # the coefficient's spline has its middle so many intervals from either end of the range
+        before, after = COEFFICIENTS // 2 - 1, COEFFICIENTS // 2 - 2
+        changes = np.column_stack(
+            [
+                self._simulate(over_time, (x - before * spacing, x + after * spacing, *bump))
+                - self._residual
+                for x in centres.tolist()
+            ]
+        )
+        if not np.isfinite(changes).all():
+            return []
+        own = self._project(changes)
+        information, slope = own.T @ own, own.T @ self._residual
+
+        def weigh_bumps(frequency: float) -> Array:
+            return compute_basis(effect, (1.0 / frequency, *COEFFICIENTS * [0.0]), centres)
+
+        periods = np.arange(PERIODS_MIN, PERIODS_MAX, FREQUENCY_STEP, dtype=np.float64)
+        frequencies = periods / duration
+        weights = map(weigh_bumps, frequencies.tolist())
+        gain = np.array([_compute_gain(W.T @ information @ W, W.T @ slope) for W in weights])
+        edged = np.concatenate([[0.0], gain, [0.0]])
+        peaks = np.flatnonzero((gain >= edged[:-2]) & (gain > edged[2:]))
+        likely = frequencies[peaks[np.argsort(-gain[peaks])[: PERIODS_TRIED[0]]]]
+        steps = itertools.chain.from_iterable(
+            self._build_steps(effect, (1.0 / frequency,), changes @ weigh_bumps(frequency))
+            for frequency in likely.tolist()
+        )
+        return sorted(steps, key=lambda step: -self.smooth(step).score)[: PERIODS_TRIED[1]]
+
+    def _project(self, changes: Array) -> Array:
+        """Return what of changes of the residual no parameter of the model makes."""
+        return np.asarray(changes - self._basis @ (self._basis.T @ changes))
+
+    def _build_steps(
+        self, effect: Effect, shapes: tuple[float, ...], changes: Array
+    ) -> list[_LinearStep]:
+        """Return the linear step of a function; none where nothing changes."""
+        if not np.isfinite(changes).all():
+            return []
+        own = self._project(changes)
         A, b = own.T @ own, own.T @ self._residual
-        power = float(np.trace(A)) / COEFFICIENTS
-        if power < 1e-9:
-            return None
-        gain = float(b @ np.linalg.solve(A + ROUGHNESSES[0] * power * np.eye(COEFFICIENTS), b))
-        return _LinearStep(effect, shapes, F, A, b, gain)
+        gain = _compute_gain(A, b)
+        return [_LinearStep(effect, shapes, changes, A, b, gain)] if gain > 0.0 else []
 
     def smooth(self, step: _LinearStep) -> _Screened:
         """Return the smoothness that held-out samples favour, and where its step leads."""
@@ -288,51 +360,3 @@ class _Screening:
         bounds = [(p.low, p.high) for p in effect.parameters[-COEFFICIENTS:]]
         limited = np.clip(c * effect.parameters[-1].step, *np.transpose(bounds)).tolist()
         return model._replace(effects=(*model.effects, (effect, (*shapes, *limited))))
-
-    def _choose_shapes(self, effect: Effect) -> list[tuple[float, ...]]:
-        """Return the range of the variable, or the likely periods; nothing where there is none."""
-        if effect.function is None:
-            return []
-        if effect.function.is_periodic:
-            return self._find_periods(effect)
-        parts = [
-            effect.function.evaluate(context)[record.measured]
-            for record, context in zip(self._dataset.records, self._contexts, strict=True)
-        ]
-        x = np.concatenate(parts)
-        low, high = float(x.min()), float(x.max())
-        return [(low, high)] if high > low else []
-
-    def _find_periods(self, effect: Effect) -> list[tuple[float, ...]]:
-        """Return the periods of waves of a quantity that remove most of the residual.
-
-        The response to a wave is taken as that to a constant times the wave.
-        """
-        record = self._dataset.records[0]
-        duration = float(np.ptp(record.time))
-        constant = (duration, *(COEFFICIENTS * [effect.parameters[-1].step]))
-        response = self._simulate(effect, constant) - self._residual
-        time = np.concatenate(
-            [record.time[record.train & record.valid[c]] for c in record.compared]
-        )
-        time = np.pad(time, (0, len(response) - len(time)))
-        target = self._residual - self._basis @ (self._basis.T @ self._residual)
-        highest = len(record.time) / (PERIOD_SAMPLES * duration)
-        coarse = np.arange(PERIODS_MIN / duration, highest, 0.25 / duration)
-        waves = np.exp(2j * np.pi * np.outer(coarse, time))
-        power = np.abs(waves @ (response * target))
-        peaks = 1 + np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:]))
-
-        def compute_removed(frequency: float) -> float:
-            angle = 2.0 * np.pi * frequency * time
-            pair = response[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-            pair -= self._basis @ (self._basis.T @ pair)
-            b = pair.T @ target
-            return float(b @ np.linalg.pinv(pair.T @ pair) @ b)
-
-        offsets = np.linspace(-0.4, 0.4, FINE_FREQUENCIES) / duration
-        likely = peaks[np.argsort(-power[peaks])[:PERIODS_TRIED]]
-        return [
-            (1.0 / max((frequency + offsets).tolist(), key=compute_removed),)
-            for frequency in coarse[likely].tolist()
-        ]

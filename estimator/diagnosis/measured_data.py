@@ -33,6 +33,7 @@ from estimator.diagnosis.sampling import (
     find_sampling_issues,
     find_unseen_turns,
     mark_missing,
+    select_aperiodic_half,
     select_signal_rows,
     select_training_half,
     select_valid_samples,
@@ -514,6 +515,13 @@ def shorten_blocks(record: Record) -> Record:
     return replace(
         record, train=select_training_half(block, record.drive, record.speed), block=block
     )
+
+
+def hold_out_aperiodically(record: Record) -> Record:
+    """Return a record whose fitted half repeats nothing; of every other block, a cycle may."""
+    if record.train.all():
+        return record
+    return replace(record, train=select_aperiodic_half(record.block))
 
 
 def select_subsample(record: Record, samples_max: int) -> Mask:

@@ -197,17 +197,24 @@ def select_training_half(block: NDArray[np.int64], drive: Array, speed: Array) -
     """Return which samples are fitted: every other block, if both halves see the same motion.
 
     A motion that repeats itself may be in one half while it pulls and in the other while it lets
-    go. Then it is the blocks whose number has an even count of ones, a sequence (of Thue and Morse)
-    that repeats nothing.
+    go. Then they are chosen aperiodically.
     """
     alternate: Mask = block % 2 == 0
     if _compute_imbalance(alternate, drive, speed) < SETTINGS.imbalance_max:
         return alternate
+    halves = alternate, select_aperiodic_half(block)
+    return min(halves, key=lambda half: _compute_imbalance(half, drive, speed))
+
+
+def select_aperiodic_half(block: NDArray[np.int64]) -> Mask:
+    """Return which samples are in blocks whose number has an even count of ones.
+
+    The sequence of Thue and Morse repeats nothing, so that no cycle falls onto it.
+    """
     parity = np.zeros_like(block)
     while block.any():
         parity, block = parity ^ (block & 1), block >> 1
-    aperiodic = np.asarray(parity == 0)
-    return min((alternate, aperiodic), key=lambda half: _compute_imbalance(half, drive, speed))
+    return np.asarray(parity == 0)
 
 
 def _compute_imbalance(fitted: Mask, drive: Array, speed: Array) -> float:

@@ -26,6 +26,7 @@ class Hidden:
     truth: dict  # "sheath" and each effect -> its parameters
     heat: np.ndarray  # [J] of friction in the sheath since the start
     variables: dict  # name -> readings of further columns
+    friction: np.ndarray  # in every sample, over that of the bench
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,11 @@ def make(
         name: y(there.time) + 0.05 * rng.standard_normal(len(there.time))
         for name, y in plant.variables.items()
     }
-    return Hidden(there.time, seen, truth, heat, further)
+    motor = true["proximal_displacement"]
+    friction = np.ones_like(there.time)
+    for factor in plant.scales:
+        friction = friction * factor(there.time, motor)
+    return Hidden(there.time, seen, truth, heat, further, friction)
 
 
 def sized(one, parameters, size):

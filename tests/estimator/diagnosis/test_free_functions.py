@@ -63,6 +63,14 @@ def test_a_curve_is_as_smooth_as_held_out_samples_favour(variable):
     assert found.residual_fraction < 0.1
 
 
+def test_a_cycle_is_found_that_lasts_as_long_as_two_blocks():
+    name = "outside:friction_over_cycle"
+    made, found = diagnosed(name, 401, "spring", ("friction_by_phase",), travel_noise=5e-7)
+    assert found.causes == ("friction_by_phase",)
+    assert found.residual_fraction < 0.1
+    assert found.curve.period == pytest.approx(made.truth[name]["period"], rel=0.01)
+
+
 @pytest.mark.parametrize(
     ("name", "seed", "function"),
     [
