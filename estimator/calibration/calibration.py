@@ -206,6 +206,8 @@ ZERO_UNCERTAINTY = 0.02
 _LAW_UNCERTAINTY = 0.005  # of K that the law itself is trusted to
 _DEPTH_MARGIN = 0.05  # of s that a loop must reach beyond the tip to see that it is the tip
 _COMPLIANCE_MAX = 1e-3  # [m/N] 2 m of a tendon of 2 kN
+# of L/EA: what stops, and joints held at theirs, yield looks like a straight end of the sheath
+_BEHIND_UNCERTAINTY = 0.01
 _RESIDUAL_MAX = 0.02  # of the peak: residual tension of what is a loop of dry friction at all
 
 
@@ -244,7 +246,8 @@ class Calibration:
     rivals
         Patterns that were weighed for it.
     compliance_noise
-        Standard uncertainty of L/EA [m/N] that noise leaves in any of them.
+        Standard uncertainty of L/EA [m/N] that noise, and what yields behind the sheath of an arm,
+        leave in any of them.
     misfit
         Squared residuals of the best pattern there is over those that noise would leave: 1 where
         the law says all, more where it misses something.
@@ -340,6 +343,8 @@ def calibrate(
                 M_e, axial_stiffness, length, stiffness_uncertainty
             )
     uniform = _is_consistent(K, K_loop)
+    behind = _BEHIND_UNCERTAINTY * pattern.compliance if is_continued else 0.0
+    compliance_noise = math.hypot(search.compliance_noise, behind)
     return Calibration(
         K=K,
         K_loop=K_loop,
@@ -348,12 +353,12 @@ def calibrate(
         M_pull=M_pull,
         M_rel=M_rel,
         M_e=M_e,
-        stiffness_per_length=_compute_stiffness(search.weighed, search.compliance_noise),
+        stiffness_per_length=_compute_stiffness(search.weighed, compliance_noise),
         T_peak=MeasuredValue(loop.peak, loop.sigma),
         zero=search.zero,
         pattern=pattern,
         rivals=search.rivals,
-        compliance_noise=search.compliance_noise,
+        compliance_noise=compliance_noise,
         misfit=search.misfit,
         uniform=uniform,
         agree=uniform and (K_paper is None or _is_consistent(K, K_paper)),

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from estimator.calibration.model_averaging import (
     ModelAverage,
     Rival,
@@ -41,6 +42,7 @@ a bend of some 30 mm, it is rarer by one sigma for each factor e^0.45. Without t
 follow beyond the tip, as long as it has next to no compliance."""
 BEHIND_SIGMA = 0.05
 """Compliance of guides and stops behind a sheath, over that of all: one sigma."""
+TAIL_SHARE = 3.0 * BEHIND_SIGMA  # of all compliance: what follows may be behind the sheath
 
 _STARTS = (0.2, 0.4, 0.7, 1.0, 1.4, 1.9, 2.5)
 _FREE_STEP = 0.03
@@ -71,7 +73,8 @@ def search_pattern(
 ) -> PatternSearchResult:
     """Return the pattern of a loop.
 
-    Where the tendon goes on behind its sheath, `continued` is the s above which no sheath ends.
+    Where the tendon goes on behind its sheath, `continued` is the s above which no sheath ends, and
+    a tight bend before the last one counts, too: what little follows is of guides and stops.
     """
     fit = _fit_one_interval(fitter)
     fit = _select_shape(fitter, fit)
@@ -86,6 +89,10 @@ def search_pattern(
     if continued is not None:
         found += _cut_rivals(found)
         found = [rival for rival in found if continued > rival.pattern.K] or found
+        found = [
+            rival._replace(score=rival.score + _compute_tail_penalty(rival.pattern))
+            for rival in found
+        ]
     rivals = deduplicate_rivals(found)
     return PatternSearchResult(
         rivals=rivals,
@@ -194,9 +201,22 @@ def _select_shape(fitter: PatternLeastSquares, fit: PatternFit) -> PatternFit:
 
 def _compute_bend_penalty(pattern: Pattern) -> float:
     """Return how improbably tight the last bend is, in units of chi²."""
-    last = pattern.K - (pattern.ends[-2] if len(pattern.ends) > 1 else 0.0)
-    density = max(pattern.spread[-1] / (last * pattern.compliance), 1e-9)
-    return max(math.log(BEND_DENSITY_MIN / density) / BEND_DENSITY_LOG_SIGMA, 0.0) ** 2
+    return float(_compute_bend_penalties(pattern)[-1])
+
+
+def _compute_tail_penalty(pattern: Pattern) -> float:
+    """Return that of the bends before the last one that have little compliance behind them."""
+    before = np.array([pattern.cut(k).compliance for k in range(len(pattern.ends) - 1)])
+    is_tail = before > (1.0 - TAIL_SHARE) * pattern.compliance
+    return float(_compute_bend_penalties(pattern)[:-1][is_tail].sum())
+
+
+def _compute_bend_penalties(pattern: Pattern) -> Array:
+    """Return how improbably tight each bend is, in units of chi²."""
+    width = np.diff(pattern.ends, prepend=0.0)
+    density = np.maximum(np.array(pattern.spread) / (width * pattern.compliance), 1e-9)
+    rarity = np.log(BEND_DENSITY_MIN / density) / BEND_DENSITY_LOG_SIGMA
+    return np.asarray(np.maximum(rarity, 0.0) ** 2)
 
 
 def _generate_larger_shapes(shape: Shape) -> Iterator[Shape]:

@@ -282,3 +282,15 @@ def test_guides_behind_the_sheath_are_not_taken_for_its_end():
     assert alone.K.value > 0.9
     assert abs(continued.K.value - 0.7) < 2.0 * max(continued.K.uncertainty, 0.005)
     assert continued.stiffness_per_length.value == pytest.approx(6000.0, rel=0.003)
+
+
+def test_a_stop_that_yields_far_behind_the_sheath_leaves_it_decided():
+    """As the three loops of an arm show it: nearly nothing at the guides, then a little."""
+    guides = (Section(6e-4, 6e-4 * 0.16 / 0.85), Section(4e-3, 4e-3 * 0.16 / 0.015))
+    sheath = Sheath((Section(0.6), Section(0.9, 0.9 * 0.16 / 0.7), *guides), 0.16, 9000.0)
+    loops = record(sheath, 0.2, 20.0, 0.2, 20.0, 0.2)
+    for seed in (2, 3):
+        found = calibrate(*measured(loops, seed), is_continued=True)
+        assert abs(found.K.value - 0.7) < 2.0 * max(found.K.uncertainty, 0.005)
+        stiffness = found.stiffness_per_length
+        assert abs(stiffness.value - 6000.0) < 2.0 * stiffness.uncertainty < 200.0

@@ -27,7 +27,9 @@ from slave.tendon_config import TendonConfig
 from teleop.config.arm import ArmConfig
 from teleop.errors import UsageError
 from tests.slave.calibration.calibration_bench import (
+    EA,
     GATE,
+    LENGTH,
     QUICK,
     HousingOnly,
     but,
@@ -189,6 +191,8 @@ def test_an_arm_is_calibrated_with_the_friction_of_its_passed_joint():
     _, result = calibrate_arm()
     for direction in result.calibration.directions:
         assert abs(direction.K.value - K) < 2.0 * direction.K.uncertainty
+        stiffness, true = direction.stiffness_per_length, EA / LENGTH
+        assert abs(stiffness.value - true) < 2.0 * stiffness.uncertainty < 0.05 * true
     (guide,) = result.calibration.guides
     assert guide.joint == 1
     assert abs(guide.friction.value - MU) < 2.0 * guide.friction.uncertainty
