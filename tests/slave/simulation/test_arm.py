@@ -207,6 +207,27 @@ def test_inertia_of_eight_joints_leaves_the_plant_stable(mass, apart):
     assert 1.0 < tension < 40.0  # [N]
 
 
+def test_forces_differ_by_newtons_although_all_housings_agree():
+    """No estimator knows: a wall moves the tip while what is near the motors sticks."""
+
+    def press(moved):
+        rig = build_rig(friction=0.1, environment=WallConfig(position=0.001, stiffness=5000.0))
+        ratio, housing = rig._arm.ratio[:, 0], []
+        for time in np.arange(2500) * 1e-3:
+            if moved and time == 1.7:
+                rig.set_environment(2, None, "position", 0.001 + moved)
+            pulled = 0.004 * min(time, 1.0) - 3e-4 * np.clip((time - 1.2) / 0.2, 0.0, 1.0)
+            rig.write(wind(ratio @ (0.0, 0.0, pulled)))
+            rig.read(time)
+            housing.append(rig._truth[:2].copy())  # tension and motor of each tendon
+        return np.array(housing), rig.joint_forces[2]
+
+    (housing, force), (same, other) = press(0.0), press(1e-3)
+    assert np.abs(housing - same).max() < 1e-9  # [N], [m]
+    assert force - other > 3.0  # [N]
+    assert other > 1.0
+
+
 @pytest.mark.parametrize(
     ("radii", "text"),
     [
