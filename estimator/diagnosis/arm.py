@@ -131,11 +131,11 @@ def diagnose_arm(
     named: list[NamedCause] = []
     base = fits = search.start
     while len(named) < CAUSES_MAX:
-        found = search.find_next(causes, [entry.cause for entry in named], fits, len(named))
-        if found is None:
+        next_cause = search.find_next(causes, [entry.cause for entry in named], fits, len(named))
+        if next_cause is None:
             break
-        named.append(found)
-        kept, numbers = [entry.cause for entry in named], [*fits.numbers, found.value.value]
+        named.append(next_cause)
+        kept, numbers = [entry.cause for entry in named], [*fits.numbers, next_cause.value.value]
         search.select_sliding(kept, numbers, fits.K)
         base, fits = search.fit_all([], fits.K), search.fit_all(kept, fits.K, numbers)
     report("estimating intervals", 0.95)
@@ -222,14 +222,18 @@ class _Search:
             parts = []
             for i, k in zip(tendons, K.tolist(), strict=True):
                 parts.append(
-                    self._residual(i, self._simulate(i, causes, numbers, k, is_full), is_full)
+                    self._compute_residual(
+                        i, self._simulate(i, causes, numbers, k, is_full), is_full
+                    )
                 )
             return np.concatenate(parts)
 
         def differentiate(x: Array) -> Array:
             residual, place = evaluate(x), np.arange(len(x))
-            columns = [_difference(evaluate, x, place == k, residual) for k in range(len(causes))]
-            all_K = _difference(evaluate, x, place >= len(causes), residual)
+            columns = [
+                _compute_difference(evaluate, x, place == k, residual) for k in range(len(causes))
+            ]
+            all_K = _compute_difference(evaluate, x, place >= len(causes), residual)
             columns += [np.where(of_tendon == i, all_K, 0.0) for i in range(len(tendons))]
             return np.column_stack(columns)
 
@@ -239,14 +243,14 @@ class _Search:
             jac=differentiate, x_scale=1.0, loss="soft_l1", f_scale=3.0, ftol=1e-3, xtol=1e-4,
             max_nfev=ROUNDS,
         )  # fmt: skip
-        found = solution.values * steps
-        fitted_K = dict(zip(tendons, found[len(causes) :].tolist(), strict=True))
+        fitted = solution.values * steps
+        fitted_K = dict(zip(tendons, fitted[len(causes) :].tolist(), strict=True))
         simulated = {
-            i: self._simulate(i, causes, found[: len(causes)], k, is_full)
+            i: self._simulate(i, causes, fitted[: len(causes)], k, is_full)
             for i, k in fitted_K.items()
         }
         return _Fit(
-            tuple(found[: len(causes)].tolist()), fitted_K, simulated,
+            tuple(fitted[: len(causes)].tolist()), fitted_K, simulated,
             solution.jacobian / steps, solution.residual,
         )  # fmt: skip
 
@@ -267,7 +271,7 @@ class _Search:
                 values = cause.change(values, float(number))
         return values
 
-    def _residual(self, i: int, simulated: Simulated, is_full: bool = False) -> Array:
+    def _compute_residual(self, i: int, simulated: Simulated, is_full: bool = False) -> Array:
         record, parts = self.tendons[i].record, []
         for channel in record.compared:
             rows = record.valid[channel] & (record.train | is_full)
@@ -287,7 +291,7 @@ class _Search:
         middle, spread = self._stiffness
         return float(((simulated.stiffness - middle) / spread) ** 2)
 
-    def _errors(
+    def _compute_errors(
         self,
         simulated: dict[int, Simulated],
         tendons: Sequence[int],
@@ -316,7 +320,7 @@ class _Search:
         """Return whether the held-out errors of a tendon are no larger than noise."""
         return all(
             math.sqrt(errors.mean_square) < SETTINGS.noise_ratio
-            for errors in self._errors(simulated, [i]).values()
+            for errors in self._compute_errors(simulated, [i]).values()
         )
 
     def find_next(
@@ -334,7 +338,7 @@ class _Search:
         screened = []
         for k, cause in enumerate(promising):
             self._report("trying causes", begin + 0.12 * k / len(promising))
-            screened.append((*self._screen(cause, named, current, slopes_K), cause))
+            screened.append((*self._screen_cause(cause, named, current, slopes_K), cause))
         screened.sort(key=lambda entry: -entry[0])
         if screened[0][0] <= 0.0:
             return None
@@ -354,19 +358,19 @@ class _Search:
 
     def _compute_friction_slope(self, i: int, named: Sequence[ArmCause], current: _Fit) -> Array:
         shifted = self._simulate(i, named, current.numbers, current.K[i] + K_STEP)
-        return self._residual(i, shifted) - self._residual(i, current.simulated[i])
+        return self._compute_residual(i, shifted) - self._compute_residual(i, current.simulated[i])
 
-    def _screen(
+    def _screen_cause(
         self, cause: ArmCause, named: Sequence[ArmCause], current: _Fit, slopes_K: dict[int, Array]
     ) -> tuple[float, float]:
         """Return the log-likelihood that a cause gains if all is linear, and its number then."""
         parts = []
         for i in cause.tendons:
-            residual = self._residual(i, current.simulated[i])
+            residual = self._compute_residual(i, current.simulated[i])
             shifted = self._simulate(
                 i, [*named, cause], [*current.numbers, cause.step], current.K[i]
             )
-            slope = self._residual(i, shifted) - residual
+            slope = self._compute_residual(i, shifted) - residual
             of_K = slopes_K[i] / max(float(np.linalg.norm(slopes_K[i])), 1e-12)
             # K takes its part first
             parts.append((residual - of_K * (of_K @ residual), slope - of_K * (of_K @ slope)))
@@ -393,8 +397,8 @@ class _Search:
         fit = self._fit(
             tendons, [together[k] for k in chosen], [start[k] for k in chosen], current.K
         )
-        errors = self._errors(fit.simulated, tendons)
-        before = self._errors(current.simulated, tendons, fit.simulated)
+        errors = self._compute_errors(fit.simulated, tendons)
+        before = self._compute_errors(current.simulated, tendons, fit.simulated)
         samples = sum(len(self.tendons[i].record.time) for i in tendons)
         ratio = compute_log_likelihood_ratio(errors, before)
         penalty = sum(
@@ -404,7 +408,9 @@ class _Search:
         after, earlier = (
             sum(
                 e.mean_square
-                for e in self._errors(state.simulated, cause.tendons, fit.simulated).values()
+                for e in self._compute_errors(
+                    state.simulated, cause.tendons, fit.simulated
+                ).values()
             )
             for state in (fit, current)
         )
@@ -444,7 +450,7 @@ class _Search:
         before_rms, after_rms = (
             {
                 c.partition(" ")[2]: e.rmse
-                for c, e in self._errors(fit.simulated, [i], after.simulated).items()
+                for c, e in self._compute_errors(fit.simulated, [i], after.simulated).items()
             }
             for fit in (before, after)
         )
@@ -455,7 +461,7 @@ class _Search:
         )
 
 
-def _difference(
+def _compute_difference(
     evaluate: Callable[[Array], Array], x: Array, which: NDArray[np.bool_], residual: Array
 ) -> Array:
     step = 0.1 * which

@@ -57,33 +57,41 @@ def list_arm_causes(data: ArmData, routing: Routing) -> list[ArmCause]:
     for j in range(joints):
         passing = np.flatnonzero(np.asarray(routing.friction)[:, j])
         if data.distal_tension is not None and data.is_at_anchor and len(passing):
-            causes.append(_cause("passed_joint_friction", j, passing, _add_friction, "", 0.02))
+            causes.append(
+                _build_cause("passed_joint_friction", j, passing, _add_friction, "", 0.02)
+            )
         if not (has_travel and data.has_encoders):
             continue
         of_joint = [row for row in rows if R[row[0], j] != 0.0]
-        causes.append(_cause("joint_radius", j, np.flatnonzero(R[:, j]), _scale_radius, "", 0.02))
+        causes.append(
+            _build_cause("joint_radius", j, np.flatnonzero(R[:, j]), _scale_radius, "", 0.02)
+        )
         for row in rows:
             if [row] != of_joint:
-                causes.append(_cause("coupling", j, row, _shift_entry, "m", 1e-4))
+                causes.append(_build_cause("coupling", j, row, _shift_entry, "m", 1e-4))
             if len(row) > 1:
                 causes += [
-                    _cause("tendon_radius", j, [i], _shift_entry, "m", 1e-4)
+                    _build_cause("tendon_radius", j, [i], _shift_entry, "m", 1e-4)
                     for i in row
                     if R[i, j] != 0.0
                 ]
     for i in range(tendons):
-        causes.append(_cause("proximal_tension_gain", -1, [i], _set("gain"), "", 0.02))
-        causes.append(_cause("proximal_tension_bias", -1, [i], _set("bias"), "N", 0.1))
+        causes.append(_build_cause("proximal_tension_gain", -1, [i], _set("gain"), "", 0.02))
+        causes.append(_build_cause("proximal_tension_bias", -1, [i], _set("bias"), "N", 0.1))
         if data.distal_tension is not None:
-            causes.append(_cause("distal_tension_gain", -1, [i], _set("distal_gain"), "", 0.02))
-            causes.append(_cause("distal_tension_bias", -1, [i], _set("distal_bias"), "N", 0.1))
+            causes.append(
+                _build_cause("distal_tension_gain", -1, [i], _set("distal_gain"), "", 0.02)
+            )
+            causes.append(
+                _build_cause("distal_tension_bias", -1, [i], _set("distal_bias"), "N", 0.1)
+            )
         if has_travel:
-            causes.append(_cause("encoder_scale", -1, [i], _set("encoder_scale"), "", 0.005))
-            causes.append(_cause("encoder_play", -1, [i], _set("play"), "m", 2e-5))
+            causes.append(_build_cause("encoder_scale", -1, [i], _set("encoder_scale"), "", 0.005))
+            causes.append(_build_cause("encoder_play", -1, [i], _set("play"), "m", 2e-5))
     return causes
 
 
-def _cause(
+def _build_cause(
     kind: str,
     joint: int,
     tendons: Sequence[int] | NDArray[np.intp],

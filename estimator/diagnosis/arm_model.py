@@ -216,7 +216,7 @@ def prepare_tendons(
     names = [f"angle {j + 1}" for j in range(routing.joints)]
     rows = group_rows(routing)
     width = -(-len(data.time) // SAMPLES_MAX) | 1  # odd, so that it is centred
-    angles = [uniform_filter1d(_fill(data.time, angle), width) for angle in data.angles.T]
+    angles = [uniform_filter1d(_fill_gaps(data.time, angle), width) for angle in data.angles.T]
     tendons = []
     for i, name in enumerate(data.names):
         signals = {PROXIMAL_TENSION: data.proximal_tension[:, i]}
@@ -255,7 +255,7 @@ def group_rows(routing: Routing) -> list[tuple[int, ...]]:
     return rows
 
 
-def _fill(time: Array, values: Array) -> Array:
+def _fill_gaps(time: Array, values: Array) -> Array:
     """Return values with those that are missing interpolated."""
     is_known = np.isfinite(values)
     return np.interp(time, time[is_known], values[is_known])
@@ -314,22 +314,22 @@ def _build_tendon(
 
 def _select_row(routing: Routing, i: int) -> Routing:
     """Return the routing of one tendon, for which nothing is checked: alone it moves no arm."""
-    one = copy(routing)
+    row = copy(routing)
     for name in ("radii", "friction", "wrap", "side", "guide", "span", "length"):
-        object.__setattr__(one, name, np.asarray(getattr(routing, name))[i : i + 1])
-    object.__setattr__(one, "order", (routing.order[i],))
-    return one
+        object.__setattr__(row, name, np.asarray(getattr(routing, name))[i : i + 1])
+    object.__setattr__(row, "order", (routing.order[i],))
+    return row
 
 
 def _replace_radii(routing: Routing, radii: Array) -> Routing:
     """Return the routing of one tendon with other radii; where their sign turns, bends do."""
-    one, before = copy(routing), np.asarray(routing.radii)[0]
+    row, before = copy(routing), np.asarray(routing.radii)[0]
     side = np.where(radii * before > 0.0, np.asarray(routing.side)[0], -np.sign(radii))
     further = tuple(int(j) for j in np.flatnonzero(radii) if j not in routing.order[0])
     for name, value in (("radii", radii[None]), ("side", side[None])):
-        object.__setattr__(one, name, value)
-    object.__setattr__(one, "order", (tuple(sorted((*routing.order[0], *further))),))
-    return one
+        object.__setattr__(row, name, value)
+    object.__setattr__(row, "order", (tuple(sorted((*routing.order[0], *further))),))
+    return row
 
 
 def find_sliding(proximal: Array, distal: Array, K: Array) -> NDArray[np.bool_]:

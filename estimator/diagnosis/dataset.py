@@ -543,12 +543,12 @@ def build_coarse_steps(
         left = np.cumsum(is_kept) - 1
         time, after = record.time[rows], np.minimum(left + 1, len(rows) - 1)
         weight = (record.time - time[left]) / np.where(after > left, time[after] - time[left], 1.0)
-        plain = CoarseSteps(rows, left, weight, np.zeros((len(Motion._fields), n)))
+        uncorrected = CoarseSteps(rows, left, weight, np.zeros((len(Motion._fields), n)))
         model = fit.model
         motion = simulate_record(
-            record, context, dataset.base, model.shared, own, model.effects, plain
+            record, context, dataset.base, model.shared, own, model.effects, uncorrected
         ).motion
-        steps.append(plain._replace(correction=np.array(simulated.motion) - np.array(motion)))
+        steps.append(uncorrected._replace(correction=np.array(simulated.motion) - np.array(motion)))
     return tuple(steps)
 
 

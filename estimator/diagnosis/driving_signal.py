@@ -247,11 +247,11 @@ class Turns(NamedTuple):
     time: list[float]  # [s]
     drive: list[float]  # [m]
 
-    def insert(self, time: Array, signal: Array) -> Array:
+    def interpolate_signal(self, time: Array, signal: Array) -> Array:
         """Return a signal with rows at the turns, interpolated."""
         return np.insert(signal, self.rows, np.interp(self.time, time, signal))
 
-    def between(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def interpolate_mask(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return a mask with rows at the turns, true where it is on both sides of one."""
         rows = np.array(self.rows, dtype=np.int64)
         return np.insert(mask, rows, mask[rows - 1] & mask[rows])

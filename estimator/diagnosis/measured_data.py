@@ -346,9 +346,9 @@ def prepare_record(
     issues += find_unseen_turns(driver, time, drive, jitter, start)
     if driver != PROXIMAL_TENSION:
         turns = find_turns_between_samples(time, drive, jitter)
-        signals = {name: turns.insert(time, signal) for name, signal in signals.items()}
+        signals = {name: turns.interpolate_signal(time, signal) for name, signal in signals.items()}
         valid = {name: np.insert(mask, turns.rows, False) for name, mask in valid.items()}
-        present = {name: turns.between(mask) for name, mask in present.items()}
+        present = {name: turns.interpolate_mask(mask) for name, mask in present.items()}
         measured = np.insert(measured, turns.rows, False)
         time = np.insert(time, turns.rows, turns.time)
         drive = np.insert(drive, turns.rows, turns.drive)

@@ -300,7 +300,7 @@ class _Search:
         )
         free = 3 if widens else 1
         steps = np.diag([0.01, 0.03, 0.04])[:free]
-        found = minimize(
+        minimum = minimize(
             lambda x: compute_cost(self._build_play(np.concatenate([x, start[free:]]), best.side)),
             start[:free],
             method="Nelder-Mead",
@@ -309,7 +309,7 @@ class _Search:
                 "maxfev": 50 * free,
             },
         )
-        play = self._build_play(np.concatenate([found.x, start[free:]]), best.side)
+        play = self._build_play(np.concatenate([minimum.x, start[free:]]), best.side)
         if half is None:
             return play
         common = self.fit_play(terms, None, has_play, widens)

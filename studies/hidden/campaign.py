@@ -17,10 +17,12 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.diagnosis.api import diagnose_records
-from estimator.diagnosis.dataset import build_context
+from estimator.diagnosis.dataset import BaseLaw, build_context
 from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.validation import compute_force_error
 from estimator.effects import CATALOGUE
+from estimator.measured_data import Samples
 from studies import hidden
 from studies.testbed.command import parse_options
 from teleop.runtime.parallel import count_processors, map_in_parallel
@@ -100,6 +102,7 @@ class Result(NamedTuple):
     seconds: float  # of the processor
     by: str = ""  # the function that is to be found
     inside: float = math.nan  # share of the samples in which its band has the true friction
+    forces: tuple[float, float] = (math.nan, math.nan)  # [N] RMSE, estimated without and with it
 
     @property
     def right(self):
@@ -173,6 +176,7 @@ def judge(case, among=CATALOGUE, oracle=True):
         seconds,
         by,
         _inside_band(made, found) if has_curve else math.nan,
+        _force_errors(made, found) if has_curve else (math.nan, math.nan),
     )
 
 
@@ -221,6 +225,15 @@ def _inside_band(made, found):
     friction = np.interp(record.start + record.time, made.time, made.friction)
     true = friction * np.median((1.0 + value) / friction) - 1.0
     return float(np.mean(np.abs(true - value) <= width))
+
+
+def _force_errors(made, found):
+    """Return the RMSE of the force at the tip by the live estimator, without and with a model."""
+    if found.dataset.base.law is not BaseLaw.CAPSTAN:
+        return math.nan, math.nan
+    models = found.baseline.model, found.extended.model
+    data = Samples(made.time, **made.channels)
+    return tuple(compute_force_error(model, found.duration, data).rmse for model in models)
 
 
 def _to_be_found(case, truth):
@@ -312,7 +325,10 @@ def show(result):
         "| " + ", ".join(result.rivals) if result.rivals else "",
         f"plain {result.seen:.1f} noises, left {result.left:.3f}",
         f"{result.oracle:.2f} of the oracle, {result.seconds:.0f} s",
-        "" if math.isnan(result.inside) else f"{result.inside:.0%} of the curve in its band",
+        ""
+        if math.isnan(result.inside)
+        else f"{result.inside:.0%} of the curve in its band, force off by "
+        "{:.3g} N without it, {:.3g} N with it".format(*result.forces),
         *(f"{n.name} {n.found:.4g} not {n.true:.4g}" for n in result.numbers if not n.right),
         flush=True,
     )
