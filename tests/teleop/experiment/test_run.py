@@ -79,7 +79,7 @@ def test_trials_take_place_in_a_session_and_are_marked_in_its_recording(tmp_path
 
 @pytest.mark.real_time
 def test_a_scripted_hand_that_lets_go_for_good_ends_the_experiment_and_keeps_its_trials(tmp_path):
-    config = load_config(DEMO, SLOW | {"master.device.engage": [[0.5, 4.0]],
+    config = load_config(DEMO, SLOW | {"master.device.engage": [[0.5, 6.0]],
                                        "master.device.engage_period": 1000.0})  # fmt: skip
     experiment = Experiment(name="test", design=Design(procedure=ConstantStimuli((0.0,), 100)),
                             duration=0.3)  # fmt: skip
