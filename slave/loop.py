@@ -596,44 +596,13 @@ def _command_motors(
 ) -> int:
     """Compute the motor targets and apply the gate; hold unless `engaged`, or probing."""
     moving, dt = engaged and tick_input.motors_follow, tick_input.dt
-    if scratch.has_own_target:
-        copy_values(scratch.own_target[:], scratch.motor_target[:])
-    else:
-        control.step(
-            settings.control,
-            layout,
-            memory.control,
-            scratch.requested,
-            scratch.tip_velocity,
-            scratch.motor_position,
-            memory.tendons,
-            moving,
-            dt,
-            scratch.motor_target,
-        )
-    for i in range(layout.tendons):
-        tendon = memory.tendons[i]
-        scratch.tension[i] = math.nan
-        if tendon.valid:
-            scratch.tension[i] = max(tendon.tension, tendon.corrected_tension)
+    _compute_motor_targets(settings, layout, memory, scratch, moving, dt)
     if settings.probing.enabled:
-        probing.track_pulls(settings.probed, layout, memory.probe, memory.tendons, dt)
-        may_probe = state_machine.may_probe(memory.session) and tick_input.motors_follow
-        is_probing = probing.step(
-            settings.probing,
-            settings.probed,
-            layout,
-            memory.probe,
-            memory.tendons,
-            scratch.requested,
-            scratch.motor_position,
-            may_probe and not scratch.has_own_target,
-            dt,
-            scratch.motor_target,
-        )
+        is_probing = _probe_sheaths(settings, layout, memory, scratch, tick_input)
         moving = moving or is_probing
     if moving:
         gate.compute_reaches(settings.gate, layout, memory.joints, memory.reach)
+    _copy_largest_tensions(layout, memory, scratch)
     return gate.step(
         settings.gate,
         layout.tendons,
@@ -648,6 +617,69 @@ def _command_motors(
         state_machine.may_yield(memory.session),
         memory.gated_position,
     )
+
+
+@jit_compile
+def _compute_motor_targets(
+    settings: SlaveSettings,
+    layout: RigLayout,
+    memory: SlaveMemory,
+    scratch: Scratch,
+    moving: bool,
+    dt: float,
+) -> None:
+    """Write the targets [m] of the controller, or of one of a package of one's own."""
+    if scratch.has_own_target:
+        copy_values(scratch.own_target[:], scratch.motor_target[:])
+        return
+    control.step(
+        settings.control,
+        layout,
+        memory.control,
+        scratch.requested,
+        scratch.tip_velocity,
+        scratch.motor_position,
+        memory.tendons,
+        moving,
+        dt,
+        scratch.motor_target,
+    )
+
+
+@jit_compile
+def _probe_sheaths(
+    settings: SlaveSettings,
+    layout: RigLayout,
+    memory: SlaveMemory,
+    scratch: Scratch,
+    tick_input: TickInput,
+) -> bool:
+    """Replace the target of a tendon that is probed; return whether there is one."""
+    dt = tick_input.dt
+    probing.track_pulls(settings.probed, layout, memory.probe, memory.tendons, dt)
+    may_probe = state_machine.may_probe(memory.session) and tick_input.motors_follow
+    return probing.step(
+        settings.probing,
+        settings.probed,
+        layout,
+        memory.probe,
+        memory.tendons,
+        scratch.requested,
+        scratch.motor_position,
+        may_probe and not scratch.has_own_target,
+        dt,
+        scratch.motor_target,
+    )
+
+
+@jit_compile
+def _copy_largest_tensions(layout: RigLayout, memory: SlaveMemory, scratch: Scratch) -> None:
+    """Copy the larger of read and corrected tensions [N], NaN of invalid samples, for the gate."""
+    for i in range(layout.tendons):
+        tendon = memory.tendons[i]
+        scratch.tension[i] = math.nan
+        if tendon.valid:
+            scratch.tension[i] = max(tendon.tension, tendon.corrected_tension)
 
 
 @jit_compile
