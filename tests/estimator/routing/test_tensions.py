@@ -38,12 +38,13 @@ def check_arm(seed, legs, tension_error, torque_error, torque_mean):
         study.compare_torques(arm, motion, rng),
     )
     assert by_tension.worst < tension_error
+    assert by_tension.mean < 0.1 * tension_error
     assert by_tension.inside == by_torque.inside == 1.0
     assert by_torque.worst < torque_error
     assert by_torque.mean < torque_mean
     # the model of passed friction is what makes it so
-    assert by_tension.worst_without > 10.0 * tension_error
-    assert by_torque.mean_without > 3.0 * torque_mean
+    assert by_tension.worst_without > 10.0 * by_tension.worst
+    assert by_torque.mean_without > 3.0 * by_torque.mean
 
 
 def test_an_arm_agrees_with_the_chain():
@@ -53,7 +54,11 @@ def test_an_arm_agrees_with_the_chain():
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1, 20))
 def test_more_arms_agree_with_the_chain(seed):
-    check_arm(seed, 6, 0.005, 0.03, 0.007)
+    """What differs is the law, not the beads: four times as many leave it as large.
+
+    It is largest in the one sample in which tension and joints turn back together after a rest.
+    """
+    check_arm(seed, 6, 0.01, 0.045, 0.007)
 
 
 @settings(deadline=None, max_examples=20)
