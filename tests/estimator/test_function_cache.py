@@ -122,6 +122,7 @@ def test_damaged_files_are_compiled_again(run, tmp_path):
     assert run() != expected  # found again
 
 
+@pytest.mark.slow
 def test_a_type_that_has_moved_to_another_file_is_compiled_again(run):
     first = run()
     imports = ("from records", "from pairs")

@@ -27,7 +27,7 @@ def samples(record, **off):
 
 
 def test_encoders_count_from_anywhere():
-    made = hidden.make(6, ("encoder_scale",), bench="spring", duration=30.0, rate=50.0)
+    made = hidden.make(6, ("encoder_scale",), bench="spring", duration=20.0, rate=50.0)
     off = {"proximal_displacement": 1.0, "distal_displacement": 2.0}
     tried = [one for one in CATALOGUE if one.name in ("encoder_scale", "creep", "viscous_friction")]
     found = diagnose(samples(made, **off), effects=tried)

@@ -14,7 +14,11 @@ SHAPE = Shape(((0.005, 0.0), (-0.004, 0.005)), friction=0.15, wrap=0.5)
     ("change", "words"),
     [
         (Change(), "Nothing is wrong with the arm beyond noise."),
-        (Change("friction", joint=0), "friction of tendons that pass joint 1 is 0.2"),
+        pytest.param(
+            Change("friction", joint=0),
+            "friction of tendons that pass joint 1 is 0.2",
+            marks=pytest.mark.slow,
+        ),
         (Change("gain", row=1, side=1), "tendon 2b: the load cell at the housing has a wrong gain"),
     ],
     ids=lambda value: getattr(value, "kind", ""),

@@ -129,7 +129,7 @@ def assert_balanced(chain, before, after, dt):
 
 
 @pytest.mark.parametrize("knobs", EXACT.values(), ids=EXACT.keys())
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_every_step_obeys_every_law_at_each_node_and_balances_the_load(seed, knobs):
     rng = np.random.default_rng(seed)
     chain = random_chain(rng, **knobs)
