@@ -31,7 +31,7 @@ def folders(tmp_path):
 
 @pytest.mark.parametrize("page", [pytest.param(p, id=p.stem, marks=marks(p)) for p in PAGES])
 def test_a_tutorial_runs_in_order(page, folders):
-    assert run_page(page, *folders, write_shims(folders[1])) >= 3
+    assert run_page(page, *folders, write_shims(folders[1])) >= 2
 
 
 @pytest.mark.slow  # .ci/run does, after the tests
