@@ -242,7 +242,8 @@ def simulate_record(
     coarse : CoarseSteps, optional
         Simulate some of the samples only.
     """
-    _WORK.add(len(record.time if coarse is None else coarse.rows))
+    samples = len(record.time if coarse is None else coarse.rows)
+    _WORK.add(2 * samples if record.loop else samples)  # a loop has two cables
     values = base.values(shared, own)
     effects = [pair for pair in effects if pair[0].is_active_in(context)]
     physics = build_plain_physics(record, base, values)
