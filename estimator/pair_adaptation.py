@@ -75,6 +75,7 @@ TEMPER = 0.25  # of the evidence of a piece: later ones share some errors, too
 ELONGATION_NOISE, ELONGATION_ACCURACY = 4e-6, 0.005  # [m], relative
 PASS_DISTANCE, PASS_S = 1.5e-4, 8.0  # [m], [s] between two passes of one place
 LOAD_NOISE, LOAD_ACCURACY = 0.06, 0.01  # [N], relative to the tensions at the tips
+LOAD_FRICTION = 0.25  # of what loads the joint, as of tissue, over that load
 START_SIGMA = 0.03  # of each log factor
 COMMON_SHARE = 0.5  # of the variance of a log factor, common to the thirds of a sheath
 COMPLIANCE_SIGMA = 0.02  # of L/EA, relative
@@ -476,11 +477,14 @@ def _compare_passes(
     K_a, K_b = slope_a.sum(), slope_b.sum()
     pulled_a, released_b = to_a[0] * math.exp(-K_a), to_a[1] * math.exp(rho_b * K_b)
     pulled_b, released_a = to_b[1] * math.exp(-K_b), to_b[0] * math.exp(rho_a * K_a)
-    residual = pulled_a - released_b + pulled_b - released_a - 2.0 * state.mean[JOINT]
+    resisted_a, resisted_b = pulled_a - released_b, pulled_b - released_a
+    residual = resisted_a + resisted_b - 2.0 * state.mean[JOINT]
     slope = slope_a * (pulled_a + rho_a * released_a) + slope_b * (pulled_b + rho_b * released_b)
     slope[JOINT] = 2.0
     size = 0.5 * (pulled_a + released_b + pulled_b + released_a)
-    noise = (2.0 * LOAD_NOISE**2 + (2.0 * LOAD_ACCURACY * size) ** 2) / weight
+    dissipated = LOAD_FRICTION * (resisted_a - resisted_b)
+    noise = 2.0 * LOAD_NOISE**2 + (2.0 * LOAD_ACCURACY * size) ** 2 + dissipated**2
+    noise /= weight
     share = 1.0 / JUMP_PASSES
     if _fits(state, slope, residual, noise * weight):
         _update_filter(state, slope, residual, noise)

@@ -3,9 +3,21 @@
 import numpy as np
 import pytest
 
-from estimator.adaptation import FACTOR_MAX, FACTOR_MIN
+from estimator.adaptation import FACTOR_MAX, FACTOR_MIN, build_adaptation
+from estimator.law.sheath import Sheath
 from estimator.online import online
-from estimator.pair_adaptation import CELLS, _sweep_tip, run_adapting_pair
+from estimator.online.online import TendonModel
+from estimator.pair_adaptation import (
+    CELLS,
+    FRICTIONS,
+    TEMPER,
+    PairAdaptation,
+    _compare_passes,
+    _initialise,
+    _sweep_tip,
+    run_adapting_pair,
+)
+from estimator.records import view_struct
 from slave.simulation.environment import TissueConfig
 from studies.adaptation import CHANGE_S, SETTLE_S, UNCHANGED, simulate_use
 
@@ -66,7 +78,7 @@ def test_intervals_hold_the_truth(changed):
     ],
 )
 def test_what_loads_the_joint_or_stretches_a_tendon_is_no_change_of_shape(seed, disturbance):
-    use = simulate_use(seed, pair=True, given=UNCHANGED._replace(after=100.0, **disturbance))
+    use = simulate_use(seed, pair=True, given=UNCHANGED._replace(after=40.0, **disturbance))
     for run in run_adapting_pair(use.models, use.time, use.tension, use.travel):
         assert run.pieces > 500
         assert run.adapted_from == -1
@@ -111,3 +123,34 @@ def test_a_tip_that_moves_far_drags_all_of_the_tendon_along(sign):
     tension, ds = np.full(CELLS + 1, 3.0), 1.0 / CELLS
     _sweep_tip(tension, np.full(3, np.exp(sign * ds)), np.full(CELLS + 1, 5e-6), sign)
     np.testing.assert_allclose(tension, 3.0 * np.exp(sign * ds * np.arange(CELLS + 1)), rtol=1e-9)
+
+
+def list_passes(file):
+    """Return tensions [N] of both tendons as the joint passes places one way, and back."""
+    _, command, angle, *tensions = np.genfromtxt(file, skip_header=1, delimiter=",").T
+    T, speed = np.stack(tensions, 1), np.gradient(command)
+    for place in np.linspace(*np.percentile(angle, [35, 65]), 12):
+        crossed = np.flatnonzero(np.diff(np.sign(angle - place)))
+        there, back = (T[crossed[speed[crossed] * sign > 0.0]] for sign in (1.0, -1.0))
+        if there[:, 0].mean() < back[:, 0].mean():
+            there, back = back, there
+        yield from zip(there, back, strict=False)
+
+
+def test_passes_of_a_measured_pair_tell_how_far_its_sheath_is_bent(measured_data):
+    """Two tendons of an endoscope, unknown otherwise: capstan friction grows with the bend."""
+    bends, K, found = (0, 60, 120, 180, 240), 0.5, []
+    for bend in bends:
+        constants = build_adaptation(TendonModel(Sheath.uniform(K, 1.0, 9000.0)))[0]
+        states = PairAdaptation.array()
+        state = view_struct(states)
+        _initialise(state)
+        passes = list(list_passes(measured_data / "endoscope-pair" / f"bend{bend:03d}.csv"))
+        for to_a, to_b in passes * 8:
+            _compare_passes(constants, constants, state, to_a, to_b, 1.0, 1.0, TEMPER)
+        K *= np.exp(states["mean"][0, :FRICTIONS]).mean()  # of each, from one bend to the next
+        found.append(2.0 * K)
+    angle = np.radians(bends)
+    line = np.polyval(np.polyfit(angle, found, 1), angle)
+    assert (np.diff(found) > 0.0).all()
+    assert abs(found - line).max() < 0.15 * np.ptp(found)
