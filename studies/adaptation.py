@@ -5,6 +5,7 @@ python -m studies.adaptation --unchanged         the same without a change, with
 python -m studies.adaptation --pair              the tendons of as many pairs
 python -m studies.adaptation --loop --settle 3   with a sensing loop in each tube, after 3 s
 python -m studies.adaptation --tip               the bend at the tip changes, no other
+python -m studies.adaptation --unchanged --wrong 0.3   K calibrated 30 % too high
 python -m studies.adaptation --pair --spring 300 pairs whose joint has a return spring [N/m]
 
 The plant is the simulated rig's chain of springs and Coulomb nodes, which knows nothing of the
@@ -180,6 +181,7 @@ class Conditions(NamedTuple):
     backlash: float = 0.0  # [m] of the joint
     spring: float = 0.0  # [N/m] of the joint of a pair
     tissue: TissueConfig | None = None  # None: random
+    model_error: float = 0.0  # of K in the model, relative
     drift: float = 0.0  # [N] amplitude of the zero of each load cell
     expansion: float = 0.0  # [m] amplitude of each tendon's length
 
@@ -201,7 +203,8 @@ def simulate_use(seed: int, pair: bool, given: Conditions = ORDINARY) -> Use:
         bend = sum(s.length / s.radius for s in sections)
         config = SheathConfig(sections, K / bend, EA, 40)
         tendons.append(TendonPlantConfig(config))
-        sheath = Sheath(tuple(Section(s.length, s.radius) for s in sections), K / bend, EA)
+        rows = tuple(Section(s.length, s.radius) for s in sections)
+        sheath = Sheath(rows, K / bend * (1.0 + given.model_error), EA)
         loop_friction = 2.0 * LOOP_FRICTION * K if given.has_loops else 0.0
         models.append(TendonModel(sheath, NOISE_N, NOISE_M, loop_friction=loop_friction))
         cell, phi = divide_sheath(config)
@@ -326,6 +329,7 @@ def main() -> None:
         minutes=(AFTER_S / 60.0, "time of use that is scored"),
         pair=(False, "both tendons of pairs; those that stay the same are reported apart"),
         spring=(0.0, "of the joint of a pair [N/m]"),
+        wrong=(0.0, "relative error of the calibrated K"),
     )
     scores = []
     for k in range(options.sheaths):
@@ -336,6 +340,7 @@ def main() -> None:
             settle=options.settle,
             after=60.0 * options.minutes,
             spring=options.spring,
+            model_error=options.wrong,
         )
         use = simulate_use(options.first + k, options.pair, conditions)
         scores += score_use(use, options.settle)
