@@ -239,7 +239,7 @@ def find_causes(
 ) -> tuple[CauseSearchResult, Choice]:
     """Return the causes of the residual of a base law, and the base law.
 
-    Each stage runs while a residual beyond noise remains, and stands if it explains more; after
+    Each stage runs while a residual beyond noise remains, and returns what explains more; after
     the first, none if the data are of no tendon. What no named cause explains is searched for a
     free function, and unless that explains nearly all, from another first cause.
     """

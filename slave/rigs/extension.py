@@ -36,8 +36,8 @@ class CheckedRig:
 
     A reading that is not finite is no mistake: it is missing, which the estimator handles. What
     else the rig has, as `follows` or `emergency_stop`, is passed on; where its code fails to give
-    it, that is a `RigFault` too, never taken for its absence. Of `summary` and `close`, which come
-    last, a failure is a warning: it must not replace what ended the session.
+    it, that is a `RigFault` too, never taken for its absence. Of `summarise` and `close`, which
+    come last, a failure is a warning: it must not replace what ended the session.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.kinematics.arm import CurvedSection
+from estimator.kinematics.arm import CurvedSection, Joint
 from teleop.config.arm import LinkedArmConfig
 
 FIXED, TURNING, SLIDING, CURVED = range(4)
@@ -47,6 +47,10 @@ class Links(NamedTuple):
     radius: Array  # [m] of all joints' own pulleys, shape (joints,)
 
 
+def _has_inertia(part: Joint | CurvedSection) -> bool:
+    return part.mass > 0.0 or (isinstance(part, Joint) and any(part.inertia))
+
+
 def build_links(arms: Sequence[LinkedArmConfig], radius: Array) -> Links:
     """Return the links of arms; `UsageError` if an arm's kinematics cannot be read.
 
@@ -58,7 +62,7 @@ def build_links(arms: Sequence[LinkedArmConfig], radius: Array) -> Links:
     for config in arms:
         parts = config.load_kinematics().parts if config.has_kinematics else ()
         joint = base
-        for part in parts if any(part.mass > 0.0 for part in parts) else ():
+        for part in parts if any(map(_has_inertia, parts)) else ():
             frame, axis, length = part.offset.to_matrix(), np.zeros(3), 0.0
             centre, inertia = (0.0, 0.0, 0.0), np.zeros((3, 3))
             if isinstance(part, CurvedSection):
@@ -120,7 +124,6 @@ def compute_inertia(links: Links, travel: Array, speed: Array) -> tuple[Array, A
         turn[:] = turn @ links.rotation[part]
         last = first
         if kind == CURVED:
-            last = first + 2
             place, spin, spin_rate, acceleration = _walk_curve(
                 links, part, travel, speed, turn, columns, place, spin, spin_rate, acceleration,
                 mass, force,

@@ -31,7 +31,7 @@ from teleop.launch.config import SessionConfig
 from teleop.launch.console import KeyReader
 from teleop.launch.session import Session, print_line
 from teleop.link.bridge import send_request
-from teleop.remote.client import BLOCK_S, MARK_BYTES, SessionClient
+from teleop.remote.client import BLOCK_S, MARK_BYTES, SessionClient, StateTimeoutError
 from teleop.runtime.clock import now_ns
 from teleop.session.state_machine import State
 
@@ -39,6 +39,7 @@ Observer = Callable[[Trial], str]  # asked after each trial; returns one of `Des
 Settings = Mapping[str, Any]  # by dotted key of a config
 
 ATTEMPTS_MAX = 10  # of a trial
+_WAITING = frozenset((State.READY, State.CLUTCHED))  # for the operator
 SCRIPTED_WAITS_MAX = 2  # in a row, for a scripted hand to engage: nobody can help it
 RECORDINGS = "recordings"  # folder of the sessions' recordings, in that of the experiment
 _IMPAIR = ("impair.to_slave.", "impair.to_master.")
@@ -230,7 +231,7 @@ def _present(stage: "_Stage", trial: Trial, say: Callable[[str], None]) -> tuple
         except UsageError:
             raise
         except TeleopError as error:
-            waits = waits + 1 if isinstance(error, _NotEngagedError) else 0
+            waits = waits + 1 if _awaits_operator(error) else 0
             if waits == SCRIPTED_WAITS_MAX and stage.is_hand_scripted:
                 raise TeleopError(
                     f"trial {trial.number}: {error}, {waits} times in a row: the scripted hand has "
@@ -243,8 +244,9 @@ def _present(stage: "_Stage", trial: Trial, say: Callable[[str], None]) -> tuple
     raise TeleopError(f"trial {trial.number}: abandoned {ATTEMPTS_MAX} times; the last: {reason}")
 
 
-class _NotEngagedError(TeleopError):
-    """The operator did not engage in time."""
+def _awaits_operator(error: TeleopError) -> bool:
+    """Return whether only the operator was missing."""
+    return isinstance(error, StateTimeoutError) and _WAITING.issuperset(error.states)
 
 
 class _Stage(AbstractContextManager["_Stage"]):
@@ -306,10 +308,7 @@ class _Stage(AbstractContextManager["_Stage"]):
         if self.session is None:
             return now_ns()
         begin_ns = 0
-        try:
-            self.session.wait_for("engaged", self._engage_timeout)
-        except TeleopError as error:
-            raise _NotEngagedError(str(error)) from error
+        self.session.wait_for("engaged", self._engage_timeout)
         for interval in range(1, self._experiment.design.intervals + 1):
             self._apply({**live, **self._experiment.set_stimulus(trial, interval)})
             if interval == 1:

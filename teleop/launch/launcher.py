@@ -141,7 +141,7 @@ def run_session(
             standby=True,
         )
         link = stack.enter_context(Link(config.link, config.session, Role.LAUNCHER))
-        watch.require_free_session(link)  # before anything is started
+        watch.require_free_session(link)  # before either side is called
         stack.enter_context(
             register_session(own_endpoints.build_entry(config, config.impair, document.path))
         )
@@ -151,7 +151,8 @@ def run_session(
             supervisor.start("record", [*shared, "--out", str(plan.record)])
         if config.impair is not None:
             supervisor.start("impair", shared)
-        supervisor.call("slave")
+        if not stop():
+            supervisor.call("slave")
         if config.ros.start:
             supervisor.start("ros", shared)
         if plan.view != "none":

@@ -254,6 +254,8 @@ class Supervisor:
                 child.process.kill()
                 child.process.wait()
             child.join_readers()
+            if child.process.stdin is not None:  # it was never called
+                child.process.stdin.close()
 
     def _relay(self, child: Child) -> None:
         assert child.process.stdout is not None  # noqa: S101 - given as PIPE above

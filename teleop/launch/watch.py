@@ -86,7 +86,7 @@ class Keyboard:
 
 
 def require_free_session(link: Link) -> None:
-    """Raise `PeerError` if the session has a slave or a master before we start ours."""
+    """Raise `PeerError` if the session has a slave or a master before ours are called."""
     for role in (Role.SLAVE, Role.MASTER):
         if link.is_present(role):
             raise PeerError(
@@ -99,7 +99,7 @@ def require_free_session(link: Link) -> None:
 class SessionWatch:
     """Supervises a session: passes on what it says, and tells when it ends.
 
-    `listener` is of events and reports, since before the first child was started; `poll` waits for
+    `listener` is of events and reports, since before the slave was called; `poll` waits for
     at most the time [s] that it is given.
     """
 

@@ -57,6 +57,14 @@ class _Connection(NamedTuple):
     events: Listener
 
 
+class StateTimeoutError(TeleopError):
+    """The sides are not in the state wanted in time; `states` are those they are in."""
+
+    def __init__(self, text: str, states: Collection[State]) -> None:
+        super().__init__(text)
+        self.states = states
+
+
 class SessionClient:
     """A connection to a running session: listens, and asks for stops and settings.
 
@@ -186,8 +194,10 @@ class SessionClient:
         ------
         UsageError
             There is no such state.
+        StateTimeoutError
+            They are not within `timeout`; says in which state they are.
         TeleopError
-            They are not within `timeout`, or the session has ended; says in which state they are.
+            The session has ended.
         """
         wanted = _parse_state(state)
         newest: dict[str, tuple[State, Reason]] = {}
@@ -212,9 +222,10 @@ class SessionClient:
             f"the {side.name.lower()} {_describe(newest.get(topic.name))}"
             for side, topic in SIDES.items()
         ]
-        raise TeleopError(
+        raise StateTimeoutError(
             f"session {self.name!r} is not {wanted.name.lower()} within {timeout:g} s: "
-            f"{', '.join(sides)}"
+            f"{', '.join(sides)}",
+            states,
         )
 
     def wait_for_button(self, buttons: Collection[int], timeout: float | None = None) -> int:

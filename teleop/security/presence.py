@@ -83,7 +83,7 @@ class Token:
     def from_key(cls, key: str) -> "Token | None":
         """Return the token of a key; None if it is not one of this project.
 
-        Two keys never have the same token: what is not written as `key` does it is none.
+        Two keys never have the same token: what is not written as `to_key` does it is none.
         """
         head, _, tail = key.partition("/@/")
         chunks = tail.split("/")

@@ -189,7 +189,7 @@ def test_a_few_damaged_frames_cost_their_samples_and_nothing_else(board):
         board.flip = 3
 
         def bad():
-            return rig.summary().get("motors_bad_frames") == 3
+            return rig.summarise().get("motors_bad_frames") == 3
 
         read_for(rig, 5.0, [0.0, 0.0], until=bad)
         assert bad()

@@ -183,10 +183,10 @@ def test_what_fails_at_the_end_replaces_no_fault_and_no_summary(capsys):
     ],
 )
 def test_a_summary_can_be_written_as_json(returned, entries):
-    rig = type("Told", (Pair,), {"summary": lambda _: returned})(())
-    summary = open_rig(PairConfig(rig=rig)).summary()
+    rig = type("Told", (Pair,), {"summarise": lambda _: returned})(())
+    summary = open_rig(PairConfig(rig=rig)).summarise()
     json.dumps(summary)
-    assert summary == entries if entries else "mylab: summary fails: " in summary["error"]
+    assert summary == entries if entries else "mylab: summarise fails: " in summary["error"]
 
 
 @dataclass(frozen=True)

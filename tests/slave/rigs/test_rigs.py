@@ -271,4 +271,4 @@ def test_measured_data_without_travel_can_be_played_and_tells_how_far(tmp_path):
     assert first.proximal_displacement is second.proximal_displacement is None
     assert rig.starts_at_zero
     read_as = "5 samples, 0.04 s, 100 Hz"
-    assert rig.summary() == {"rows": 5, "played": 2, "spikes": 0, "read_as": read_as}
+    assert rig.summarise() == {"rows": 5, "played": 2, "spikes": 0, "read_as": read_as}

@@ -2,6 +2,7 @@
 
 import io
 import itertools
+import signal
 import sys
 from dataclasses import replace
 from functools import partial
@@ -525,3 +526,47 @@ def test_data_are_replayed_as_their_mapping_says(tmp_path, monkeypatch, capsys):
     assert (rig.file, rig.mapping, rig.run) == (tmp_path / "x.csv", tmp_path / "lab.yaml", 2)
     assert main(["run", "--run", "2"]) == 2
     assert "--mapping, --run: require --replay" in capsys.readouterr().err
+
+
+NO_HARDWARE = {  # section, entry, and the line of a side that opens it
+    "slave": ("slave", "rig: {type: replayed, file: nowhere.csv}", "nowhere.csv: file not found"),
+    "master": ("master", "device: {type: hid, find: /dev/hidraw99}", "no haptic device attached"),
+}
+
+
+@pytest.mark.parametrize("side", NO_HARDWARE)
+def test_a_side_on_standby_opens_nothing_until_it_is_called(tmp_path, side):
+    """Its hardware is not there: it ends with a line as soon as it opens it."""
+    section, entry, complaint = NO_HARDWARE[side]
+    config = tmp_path / "config.yaml"
+    config.write_text(f"{section}:\n  {entry}\n")
+    supervisor = Supervisor(tmp_path, lambda *_: None)
+
+    def start():
+        child = supervisor.start(side, ["--config", str(config)], standby=True)
+        waits = Path(f"/proc/{child.process.pid}/wchan")
+        assert wait_for_condition(
+            lambda: child.exit_code is not None or "pipe_read" in waits.read_text(), 120.0
+        )
+        assert child.exit_code is None, child.complaint
+        return child
+
+    child = start()
+    supervisor.call(side)
+    assert child.process.wait(30.0) != 0
+    child.join_readers()
+    assert complaint in child.complaint
+
+    child = start()
+    supervisor.stop([side])
+    assert child.exit_code == 128 + signal.SIGTERM
+    assert child.process.stdin.closed
+
+    child = start()
+    child.process.stdin.close()  # its launcher ended
+    assert child.process.wait(30.0) == 0
+
+    child = start()
+    child.process.kill()
+    child.process.wait()
+    supervisor.call(side)  # no fault: whoever looks after it finds that it ended

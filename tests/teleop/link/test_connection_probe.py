@@ -10,8 +10,10 @@ from teleop.link.network import find_connection_fault
 from teleop.messages.topics import Role
 from teleop.security import CertificateRole
 from teleop.security import credentials as stored
+from tests.rogue import Rogue
 from tests.teleop.keys.folder import make_keys
 from tests.teleop.link.bench import await_refusals
+from tests.teleop.link.test_played_back import recorded
 
 
 def insecure(config: LinkConfig) -> LinkConfig:
@@ -52,3 +54,12 @@ def test_neither_a_secure_nor_an_insecure_side_accepts_the_other_and_both_say_so
             await_refusals(master.refusals, f"a connection to {config.slave}: {text}")
             assert not slave.is_present(Role.MASTER)
             assert not master.is_present(Role.SLAVE)
+
+
+def test_a_token_of_a_secure_process_is_refused_by_an_insecure_one(config: LinkConfig) -> None:
+    """As through a plaintext router, which a secure process would not connect to."""
+    config = insecure(config)
+    with Link(config, "test", Role.SLAVE) as slave, Rogue([config.slave], "test", None) as rogue:
+        rogue.announce_key(recorded(Role.MASTER, 5))
+        await_refusals(slave.refusals, "a master with a certificate: this session is insecure")
+        assert not slave.is_present(Role.MASTER)

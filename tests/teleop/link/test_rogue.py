@@ -156,7 +156,7 @@ def test_stops_resets_and_settings_need_a_supervisor(
 
         def refused() -> bool:
             for listen in requests.values():
-                assert listen(0) == ((0, "", False, ()))
+                assert listen.take_requests(0) == ((0, "", False, ()))
             return all(listen.count_refused()["stop"] == 12 for listen in requests.values())
 
         wait_until(refused)
@@ -165,8 +165,8 @@ def test_stops_resets_and_settings_need_a_supervisor(
         wait_until(lambda: remote.is_present(Role.MASTER) and remote.is_present(Role.SLAVE))
         remote.publish(SETTING, Setting())
         remote.publish(STOP, EmergencyStop(action=RESET, side=Role.SLAVE, number=0))
-        wait_until(lambda: len(requests[master](0).settings) == 1)
-        wait_until(lambda: requests[slave](0).reset)
+        wait_until(lambda: len(requests[master].take_requests(0).settings) == 1)
+        wait_until(lambda: requests[slave].take_requests(0).reset)
 
 
 def test_a_viewer_is_heard_by_nobody(pair: tuple[Link, Link], config: LinkConfig) -> None:
