@@ -47,5 +47,5 @@ def test_what_is_put_right_is_the_last_bend():
 
 
 def test_a_last_bend_that_cannot_give_so_much_leaves_it_to_all():
-    pattern = Pattern((0.99, 1.0), (1e-4, 1e-5), (0.0, 0.0, 0.0)).ending(0.9)
+    pattern = Pattern((0.99, 1.0), (1e-4, 1e-5), (0.0, 0.0, 0.0)).adjust_friction(0.9)
     assert pytest.approx((0.891, 0.9)) == pattern.ends
