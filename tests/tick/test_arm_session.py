@@ -145,7 +145,7 @@ PRESS = (  # aside, then on a wall; by tendons that leave little in doubt
     *("arms.0.friction=0", "slave.rig.arms.0.friction=0"),
     *("master.device.reference.reach=0.5", "master.device.reference.rest=0.05"),
     "master.device.reference.points=[[0, 0, 0, 0], [0.05, 0.05, -0.01, 0]"
-    + 9 * ", [0.05, 0.05, 0.03, 0]"
+    + 20 * ", [0.05, 0.05, 0.03, 0]"
     + "]",
     *("master.state_timeout=0.15", "slave.command_timeout=0.15"),
 )
@@ -158,24 +158,15 @@ RUB = (*BALL, *(f"{tendon}.sheath.friction=0.16" for tendon in TENDONS))
 SOME_MS = 500  # ticks
 
 
-@pytest.mark.parametrize(
-    ("pressed", "round_trip"),
-    [
-        *((PRESS, 0.2), (BALL, 0.0), (RUB, 0.0)),
-        *(pytest.param(PRESS, late, marks=pytest.mark.slow) for late in (0.0, 0.05, 0.1, 0.3)),
-        *(pytest.param(BALL, late, marks=pytest.mark.slow) for late in (0.05, 0.1, 0.2, 0.3)),
-    ],
-)
-def test_a_hand_comes_to_rest_on_what_it_meets_in_space_whatever_the_delay(pressed, round_trip):
-    """With the default coupling: it presses, is pushed back, and takes no energy from it."""
+def press_wall(pressed, round_trip, seconds):
+    """Let a scripted hand press; hand (ticks, 4) [m], force in it (ticks, 4) [N], work [J]."""
     late = (f"master.delay_max={2.0 * round_trip + 0.2}", "master.device.engage_period=1e6")
     late = (*late, f"master.device.engage=[[{0.1 + round_trip}, 1e6]]")
     hands, felt, worked = [], [], []
     with ExitStack() as stack:
         session = Session(stack, (*pressed, *late), file=FILE, delay_s=round_trip / 2.0)
         master, coupled = session.master, np.zeros(4)
-        settling_s = 2.3 if pressed is RUB else 0.0  # friction lets it stick and slip a few times
-        for _ in range(round(1000 * (2.7 + settling_s + 2.0 * round_trip))):
+        for _ in range(round(1000 * (seconds + 2.0 * round_trip))):
             before = np.array([x for x, _ in master._device._hands])
             session.tick()
             hands.append([x for x, _ in master._device._hands])
@@ -185,8 +176,33 @@ def test_a_hand_comes_to_rest_on_what_it_meets_in_space_whatever_the_delay(press
             for side in (master.memory.coupling, session.slave.memory.coupling):
                 assert min(side.ports[k].credit for k in range(4)) >= -1e-9
         assert session.master.memory.session.state == State.ENGAGED
-    hands, felt = np.array(hands)[-SOME_MS:], np.array(felt)[-SOME_MS:]
+    assert np.cumsum(worked).max() < 4 * 2.0 * PassivityConfig().reserve / SCALE
+    return np.array(hands), np.array(felt)
+
+
+@pytest.mark.parametrize(
+    ("pressed", "round_trip"),
+    [
+        *((PRESS, 0.2), (BALL, 0.0)),
+        *(pytest.param(PRESS, late, marks=pytest.mark.slow) for late in (0.0, 0.05, 0.1, 0.3)),
+        *(pytest.param(BALL, late, marks=pytest.mark.slow) for late in (0.05, 0.1, 0.2, 0.3)),
+    ],
+)
+def test_a_hand_comes_to_rest_on_what_it_meets_in_space_whatever_the_delay(pressed, round_trip):
+    """With the default coupling: it presses, is pushed back, and takes no energy from it."""
+    hands, felt = (rows[-SOME_MS:] for rows in press_wall(pressed, round_trip, 2.7))
     assert felt[:, 2].max() < -0.2  # [N] of the wall
     assert np.ptp(felt[:, :3], axis=0).max() < 0.3
     assert np.ptp(hands[:, :3], axis=0).max() < 0.5e-3
-    assert np.cumsum(worked).max() < 4 * 2.0 * PassivityConfig().reserve / SCALE
+
+
+def test_a_hand_on_a_ball_does_not_cycle_where_friction_lets_the_tip_stick_and_slip():
+    """Between single slips, whose times the processor's rounding decides, the force is still.
+
+    A limit cycle of 10 Hz fills each quarter of a second with 0.3 N and more.
+    """
+    _, felt = press_wall(RUB, 0.0, 6.0)
+    windows = felt[-3000:, :3].reshape(12, 250, 3)
+    swing = np.sort(np.ptp(windows, axis=1).max(axis=1))  # [N]
+    assert swing[2] < 0.15
+    assert windows[..., 2].mean() < -0.15
