@@ -97,20 +97,19 @@ class CommandMotion:
                 self._span_s = min(max(passed_s, left_s), self._span_max_s)
             self._move(record.values, time_s)
         else:
-            self.build_resting_hand()
+            self.stop_hand()
         return HandState(self._position, self._velocity, engaged)
 
-    def build_resting_hand(self) -> HandState:
-        """Return the hand where it is, at rest and with an open switch."""
+    def stop_hand(self) -> None:
+        """Let the hand rest where it is."""
         self._velocity = (0.0,) * len(self._position)
-        return HandState(self._position, self._velocity, engage=False)
 
     def _move(self, target: Axes, time_s: float) -> None:
         """Move to a position, `_span_s` after `_begin_s`."""
         share = (time_s - self._begin_s) / self._span_s if self._span_s > 0.0 else 1.0
         if share >= 1.0:
             self._position = target
-            self.build_resting_hand()
+            self.stop_hand()
             return
         pairs = tuple(zip(self._from, target, strict=True))
         self._position = tuple(a + (b - a) * share for a, b in pairs)

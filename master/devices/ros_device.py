@@ -128,8 +128,8 @@ class RosDevice:
         record, now_ns = self._record, time.monotonic_ns()
         if self._process.poll() is not None:
             raise DeviceFault("the receiver of ROS commands has ended")
-        if not self._began:  # it is starting
-            return self._motion.build_resting_hand()
+        if not self._began:  # it is starting: the empty record is a hand at rest
+            return self._motion.step(record, False, time_s)
         age_ns = now_ns - record.received_ns
         fault = record.fault
         if now_ns - record.written_ns > RECORD_TIMEOUT_NS:
@@ -141,7 +141,7 @@ class RosDevice:
         ):
             fault = f"ROS {self._config.command}: silent"
         if fault:
-            self._motion.build_resting_hand()
+            self._motion.stop_hand()
             raise DeviceLost(fault)
         return self._motion.step(record, age_ns <= self._config.timeout * 1e9, time_s)
 
