@@ -37,7 +37,7 @@ from estimator.compiled import jit_compile
 from slave.simulation.chain_step import compute_response, recover_state
 from slave.simulation.environment import compute_environment_force
 from slave.simulation.friction_nodes import Curve, Response
-from slave.simulation.inertia import Links, build_links, compute_inertia
+from slave.simulation.inertia import LinkMotion, Links, build_links, compute_link_motion
 from slave.simulation.joint import Joint, JointState, TendonState, fill_truth, wind_tendon
 from slave.simulation.motor import MotorState
 from slave.simulation.sensors import CHANNELS
@@ -100,7 +100,7 @@ def build_arm(configs: Sequence[ArmPlantConfig], joints: Sequence[Sequence[int]]
         contact[0, first:last] = config.list_friction()
         contact[1:, first:last] = [[config.wrap], [config.presliding]]
         first = last
-    contacts = build_space_contacts([(config, config.contacts) for config in configs], rows.radius)
+    contacts = build_space_contacts([(config, config.contacts) for config in configs])
     partner = assemble_bend_partners(configs, n)
     ratio, guides = np.zeros((n, 2, n)), np.zeros((n, 2, n), dtype=np.bool_)
     rubs = find_guides(rows.travel, partner)
@@ -235,8 +235,7 @@ def compute_residual(
     curves: list[Curve],
     before: ArmState,
     after: ArmState,
-    mass: Array,
-    inertial_force: Array,
+    motion: LinkMotion,
     depth: Array,
     depth_slope: Array,
     travel: Array,
@@ -246,8 +245,8 @@ def compute_residual(
 ) -> None:
     """Compute what resists less what drives each joint at `travel` [m], shape (n,).
 
-    `mass`, `inertial_force`, `depth` and `depth_slope` are of `compute_inertia` and
-    `locate_surfaces` before the step; `after` is filled in.
+    `motion`, `depth` and `depth_slope` are of `compute_link_motion` and `locate_surfaces` before
+    the step; `after` is filled in.
     `out_residual` [N] has shape (n,), `out_slope` [N/m] shape (n, n).
     """
     n = len(travel)
@@ -273,13 +272,13 @@ def compute_residual(
         further = compute_environment_force(
             joints[j].environment, travel[j] + step, start[j], time, dt
         )
-        out_residual[j] = force + contact + inertial_force[j]
+        out_residual[j] = force + contact + motion.force[j]
         out_slope[j, j] = slope + (further - contact) / step
     for j in range(n):
         for i in range(n):
             move = travel[i] - start[i]
-            out_residual[j] += mass[j, i] * (move / dt - states[i].speed) / dt
-            out_slope[j, i] += mass[j, i] / dt**2
+            out_residual[j] += motion.mass[j, i] * (move / dt - states[i].speed) / dt
+            out_slope[j, i] += motion.mass[j, i] / dt**2
     for m in range(len(depth)):
         reached = depth[m]
         for j in range(n):
@@ -325,17 +324,17 @@ def solve_arm(
     travel, residual, slope = np.empty(n), np.empty(n), np.empty((n, n))
     for j in range(n):
         travel[j] = states[j].travel
-    depth, depth_slope = locate_surfaces(arm.contacts, travel)
     speed = np.empty(n)
     for j in range(n):
         speed[j] = 1.5 * states[j].speed - 0.5 * before.speed[j]
-    mass, inertial_force = compute_inertia(arm.links, travel, speed)
+    motion = compute_link_motion(arm.links, travel, speed)
+    depth, depth_slope = locate_surfaces(arm.contacts, motion)
     for j in range(n):
         after.speed[j] = states[j].speed
         travel[j] += states[j].speed * dt
     compute_residual(
-        arm, joints, states, curves, before, after, mass, inertial_force, depth, depth_slope,
-        travel, dt, residual, slope,
+        arm, joints, states, curves, before, after, motion, depth, depth_slope, travel, dt,
+        residual, slope,
     )  # fmt: skip
     trial_residual, trial_slope = np.empty(n), np.empty((n, n))
     for iteration in range(MAX_ITERATIONS):
@@ -347,21 +346,9 @@ def solve_arm(
         while True:  # a shorter step where the whole one is worse
             trial = travel - share * move
             compute_residual(
-                arm,
-                joints,
-                states,
-                curves,
-                before,
-                after,
-                mass,
-                inertial_force,
-                depth,
-                depth_slope,
-                trial,
-                dt,
-                trial_residual,
-                trial_slope,
-            )
+                arm, joints, states, curves, before, after, motion, depth, depth_slope, trial, dt,
+                trial_residual, trial_slope,
+            )  # fmt: skip
             if np.abs(trial_residual).max() < excess or share < 1e-3:
                 break
             share *= 0.5

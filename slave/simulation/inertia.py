@@ -1,4 +1,4 @@
-"""Inertia of an arm's links: what couples its joints, what their motion throws, their weight.
+"""Links of an arm: what couples its joints, what their motion throws, their weight, and its tip.
 
 The chain is walked once from its base. Each link adds its part to the equations of motion by the
 velocities that a unit speed of each joint gives to it (Kane's method): with these columns V and W
@@ -6,7 +6,8 @@ of its centre of mass and of its turning, mass m and inertia I about that centre
 
     M = sum m V^T V + W^T I W,   b = sum V^T m (a - g) + W^T (I alpha + omega x I omega)
 
-where a and alpha are its accelerations while all joints keep their speeds. A curved section is
+where a and alpha are its accelerations while all joints keep their speeds. The place of the tip and
+the columns of the last link are what surfaces act by (`space_contacts`). A curved section is
 `LUMPS` point masses evenly along its middle line, so the turning of its slices about their own
 centres is left out. Links that hang beside the chain of a URDF have no inertia.
 """
@@ -31,7 +32,7 @@ Vector: TypeAlias = tuple[float, float, float]
 
 
 class Links(NamedTuple):
-    """The parts of all arms of a rig whose links have mass, one arm after another."""
+    """The parts of all arms of a rig with kinematics, one arm after another; a tip ends each."""
 
     kind: NDArray[np.int64]  # shape (parts,)
     joint: NDArray[np.int64]  # first joint of the rig that moves the part, shape (parts,)
@@ -47,10 +48,6 @@ class Links(NamedTuple):
     radius: Array  # [m] of all joints' own pulleys, shape (joints,)
 
 
-def _has_inertia(part: Joint | CurvedSection) -> bool:
-    return part.mass > 0.0 or (isinstance(part, Joint) and any(part.inertia))
-
-
 def build_links(arms: Sequence[LinkedArmConfig], radius: Array) -> Links:
     """Return the links of arms; `UsageError` if an arm's kinematics cannot be read.
 
@@ -60,9 +57,12 @@ def build_links(arms: Sequence[LinkedArmConfig], radius: Array) -> Links:
     numbers: list[Array] = []
     base = 0
     for config in arms:
-        parts = config.load_kinematics().parts if config.has_kinematics else ()
+        parts: tuple[Joint | CurvedSection, ...] = ()
+        if config.has_kinematics:
+            arm = config.load_kinematics()
+            parts = (*arm.parts, Joint("tip", "fixed", offset=arm.tip))
         joint = base
-        for part in parts if any(map(_has_inertia, parts)) else ():
+        for part in parts:
             frame, axis, length = part.offset.to_matrix(), np.zeros(3), 0.0
             centre, inertia = (0.0, 0.0, 0.0), np.zeros((3, 3))
             if isinstance(part, CurvedSection):
@@ -90,25 +90,27 @@ def build_links(arms: Sequence[LinkedArmConfig], radius: Array) -> Links:
     )  # fmt: skip
 
 
+class LinkMotion(NamedTuple):
+    """What the links say about the motion of n joints, at their own pulleys."""
+
+    mass: Array  # [kg] shape (n, n), symmetric
+    force: Array  # [N] that drives the joints at constant speeds, against inertia and weight
+    columns: Array  # per unit speed, shape (2, n, 3): velocity at the base's origin, and turning
+    tips: Array  # [m] shape (n, 3): in the row of the first joint of each arm
+
+
 @jit_compile
-def compute_inertia(links: Links, travel: Array, speed: Array) -> tuple[Array, Array]:
-    """Return the mass matrix of the joints, and the forces at no acceleration of them.
+def compute_link_motion(links: Links, travel: Array, speed: Array) -> LinkMotion:
+    """Return mass matrix, forces at no acceleration, and what moves the tips.
 
     Parameters
     ----------
     travel, speed : array, shape (n,)
         Of the joints at their own pulleys [m], [m/s].
-
-    Returns
-    -------
-    mass : array, shape (n, n)
-        [kg] at the pulleys, symmetric.
-    force : array, shape (n,)
-        [N] that drives the joints at constant speeds against inertia and weight.
     """
     n = len(travel)
     mass, force = np.zeros((n, n)), np.zeros(n)
-    columns = np.zeros((2, n, 3))  # linear at the base's origin and angular, per unit speed
+    columns, tips = np.zeros((2, n, 3)), np.zeros((n, 3))
     turn = np.eye(3)  # of the frame that is reached
     place = spin = spin_rate = acceleration = (0.0, 0.0, 0.0)  # of its origin, in the base
     for part in range(len(links.kind)):
@@ -153,7 +155,8 @@ def compute_inertia(links: Links, travel: Array, speed: Array) -> tuple[Array, A
                 _carry(acceleration, spin, spin_rate, arm), spin, spin_rate, base, last, columns,
                 mass, force,
             )  # fmt: skip
-    return mass, force
+        _set(tips[base], place)
+    return LinkMotion(mass, force, columns, tips)
 
 
 @jit_compile
@@ -251,7 +254,7 @@ def _add_body(
 ) -> None:
     """Add a body that the joints `first` to before `last` move.
 
-    `inertia` [kg m^2] is in the base, shape (3, 3); see `compute_inertia`.
+    `inertia` [kg m^2] is in the base, shape (3, 3); see `compute_link_motion`.
     """
     push = _scale(mass, acceleration)
     moment = _add(_rotate(inertia, spin_rate), _cross(spin, _rotate(inertia, spin)))

@@ -1,7 +1,7 @@
 """What turns all joints of an arm in space: surfaces that its tip meets.
 
-Within a step the tip moves as its Jacobian at the start of the step says, and a surface is its
-tangent plane there; its force pushes along the normal and never pulls.
+Within a step the tip moves as the links' velocities at the start of the step say, and a surface is
+its tangent plane there; its force pushes along the normal and never pulls.
 """
 
 import math
@@ -10,14 +10,13 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
-from estimator.kinematics.arm import PreparedArm, prepare_arm
-from estimator.kinematics.forward import write_kinematics
-from estimator.records import StructArray
 from slave.simulation.environment import STIFFNESS_MAX
+from slave.simulation.inertia import LinkMotion
 from teleop.config.arm import LinkedArmConfig
 from teleop.config.ranges import RangedConfig, build_ranged_field, check_ranges
 
@@ -57,53 +56,40 @@ PLANE, BALL = range(2)
 
 
 class SpaceContacts(NamedTuple):
-    """The surfaces that the arms of a rig meet, and the arms' kinematics."""
+    """The surfaces that the arms of a rig meet."""
 
-    arms: StructArray  # PreparedArm, shape (arms,)
-    first: Array  # first joint of each arm, shape (arms,)
-    radius: Array  # [m] of all joints' own pulleys, shape (joints,)
-    # one row per surface: arm, kind, point or centre, normal, radius, stiffness, exponent, damping
+    joints: NDArray[np.int64]  # first joint of its arm, and that behind its last, shape (m, 2)
+    # shape (m, 11): kind, point or centre, normal, radius, stiffness, exponent, damping
     surfaces: Array
 
 
 def build_space_contacts(
-    arms: Sequence[tuple[LinkedArmConfig, Sequence[SurfaceConfig]]], radius: Array
+    arms: Sequence[tuple[LinkedArmConfig, Sequence[SurfaceConfig]]],
 ) -> SpaceContacts:
-    """Return the surfaces of arms, each with what its tip meets.
-
-    `radius` [m] are the joints' own pulleys, shape (joints,); `UsageError` if an arm's kinematics
-    cannot be read.
-    """
-    prepared, first = [PreparedArm.array()], [0]
+    """Return the surfaces of arms, each with what its tip meets."""
+    joints: list[tuple[int, int]] = []
     rows: list[list[float]] = []
-    joint = 0
+    first = 0
     for config, surfaces in arms:
-        if surfaces:
-            prepared.append(prepare_arm(config.load_kinematics()))
-            first.append(joint)
-        rows += [_to_row(len(prepared) - 1, surface) for surface in surfaces]
-        joint += config.joints
-    table = np.array(rows).reshape(-1, 12)
-    firsts = np.array(first, np.float64)
-    return SpaceContacts(np.concatenate(prepared), firsts, radius, table)
+        joints += [(first, first + config.joints)] * len(surfaces)
+        rows += map(_to_row, surfaces)
+        first += config.joints
+    return SpaceContacts(
+        np.array(joints, np.int64).reshape(-1, 2), np.array(rows, np.float64).reshape(-1, 11)
+    )
 
 
-def _to_row(arm: int, surface: SurfaceConfig) -> list[float]:
+def _to_row(surface: SurfaceConfig) -> list[float]:
     law = (surface.stiffness, 1.0, surface.damping)
     if isinstance(surface, PlaneConfig):
         normal = np.array(surface.normal) / math.hypot(*surface.normal)
-        return [arm, PLANE, *surface.point, *normal.tolist(), 0.0, *law]
-    return [arm, BALL, *surface.centre, 0.0, 0.0, 0.0, surface.radius, law[0], 1.5, law[2]]
+        return [PLANE, *surface.point, *normal.tolist(), 0.0, *law]
+    return [BALL, *surface.centre, 0.0, 0.0, 0.0, surface.radius, law[0], 1.5, law[2]]
 
 
 @jit_compile
-def locate_surfaces(contacts: SpaceContacts, travel: Array) -> tuple[Array, Array]:
+def locate_surfaces(contacts: SpaceContacts, motion: LinkMotion) -> tuple[Array, Array]:
     """Return the depth [m] of the tips in each surface, and its slopes over the joints' travels.
-
-    Parameters
-    ----------
-    travel : array, shape (n,)
-        Of the joints [m].
 
     Returns
     -------
@@ -112,30 +98,22 @@ def locate_surfaces(contacts: SpaceContacts, travel: Array) -> tuple[Array, Arra
     slope : array, shape (m, n)
         Dimensionless.
     """
-    count, n = len(contacts.surfaces), len(travel)
-    depth, slope = np.empty(count), np.zeros((count, n))
-    pose, jacobian = np.empty((4, 4)), np.empty((6, n))
-    angle, at = np.empty(n), -1
+    count = len(contacts.surfaces)
+    depth, slope = np.empty(count), np.zeros((count, len(motion.mass)))
     for i in range(count):
-        surface = contacts.surfaces[i]
-        which = int(surface[0])
-        arm, first = contacts.arms[which], int(contacts.first[which])
-        if which != at:
-            for j in range(arm.coordinates):
-                angle[j] = travel[first + j] / contacts.radius[first + j]
-            write_kinematics(arm, angle, pose, jacobian)
-            at = which
-        normal = surface[5:8].copy()
-        away = pose[:3, 3] - surface[2:5]  # from the point or the centre to the tip
-        if surface[1] == BALL:
+        surface, (first, last) = contacts.surfaces[i], contacts.joints[i]
+        tip, normal = motion.tips[first], surface[4:7].copy()
+        away = tip - surface[1:4]  # from the point or the centre to the tip
+        if surface[0] == BALL:
             distance = math.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2)
             copy_values(away / max(distance, 1e-12), normal)
-        depth[i] = surface[8] - (normal[0] * away[0] + normal[1] * away[1] + normal[2] * away[2])
-        for j in range(arm.coordinates):
-            along = (
-                normal[0] * jacobian[0, j] + normal[1] * jacobian[1, j] + normal[2] * jacobian[2, j]
-            )
-            slope[i, first + j] = -along / contacts.radius[first + j]
+        depth[i] = surface[7] - (normal[0] * away[0] + normal[1] * away[1] + normal[2] * away[2])
+        for j in range(first, last):
+            velocity, turning = motion.columns[0, j], motion.columns[1, j]
+            for k in range(3):
+                u, v = (k + 1) % 3, (k + 2) % 3
+                speed = velocity[k] + turning[u] * tip[v] - turning[v] * tip[u]
+                slope[i, j] -= normal[k] * speed
     return depth, slope
 
 
@@ -144,7 +122,7 @@ def press_surface(surface: Array, depth: float, before: float, dt: float) -> tup
     """Return the force [N] of a surface at `depth` [m], `dt` [s] after `before`, and its slope."""
     if depth <= 0.0:
         return 0.0, 0.0
-    stiffness, exponent, damping = surface[9], surface[10], surface[11]
+    stiffness, exponent, damping = surface[8], surface[9], surface[10]
     rate = (depth - max(before, 0.0)) / dt
     force, slope = stiffness * depth**exponent, stiffness * exponent * depth ** (exponent - 1.0)
     if rate > 0.0:

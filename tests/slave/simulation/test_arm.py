@@ -10,7 +10,7 @@ from estimator.kinematics.forward import compute_part_frames, write_weight_torqu
 from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
 from slave.simulation.arm import ArmPlantConfig
 from slave.simulation.environment import FreeConfig, WallConfig
-from slave.simulation.inertia import compute_inertia
+from slave.simulation.inertia import build_links, compute_link_motion
 from slave.simulation.joint import BodyConfig
 from slave.simulation.sensors import EncoderConfig, LoadCellConfig
 from slave.simulation.space_contacts import (
@@ -125,15 +125,18 @@ def test_joints_end_at_their_stops():
 def test_a_surface_turns_the_joints_by_the_slope_of_its_energy(surface):
     """Against differences of its energy over the joints: stiffness times depth, integrated."""
     arm = ArmPlantConfig(radii=PASSING, urdf=URDF, tip="tip", contacts=(surface,))
-    contacts = build_space_contacts([(arm, arm.contacts)], np.full(3, R))
+    contacts, links = build_space_contacts([(arm, arm.contacts)]), build_links([arm], np.full(3, R))
+
+    def locate(q):
+        return locate_surfaces(contacts, compute_link_motion(links, q, np.zeros(3)))
 
     def energy(q):
-        depth = max(float(locate_surfaces(contacts, q)[0][0]), 0.0)
+        depth = max(float(locate(q)[0][0]), 0.0)
         exponent = 1.0 if isinstance(surface, PlaneConfig) else 1.5
         return surface.stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)
 
     q = np.array([0.0004, -0.0005, 0.0003])
-    depth, slope = locate_surfaces(contacts, q)
+    depth, slope = locate(q)
     assert depth[0] > 1e-3
     force = press_surface(contacts.surfaces[0], depth[0], depth[0], 1e-3)[0] * slope[0]
     step = 1e-7
@@ -177,7 +180,7 @@ def test_links_that_swing_free_keep_their_energy(tmp_path):
         rig.read(i * 1e-3)
         speed = np.array([state.speed for state in rig._states])
         travel = rig.joint_travel - 0.5e-3 * speed  # where this was the speed: half a step ago
-        mass = compute_inertia(rig._arm.links, travel, speed)[0]
+        mass = compute_link_motion(rig._arm.links, travel, speed).mass
         frames = compute_part_frames(prepared, travel / R, 1)[0][1:-1]
         weight = sum(
             part.mass * np.array(gravity) @ (frame[:3, :3] @ part.centre + frame[:3, 3])

@@ -1,4 +1,4 @@
-"""Inertia of the links of arms, against Pinocchio and Lagrange's equations by differences."""
+"""Links of arms, against Pinocchio and Lagrange's equations by differences."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slave.simulation.arm import ArmPlantConfig
-from slave.simulation.inertia import LUMPS, build_links, compute_inertia
+from slave.simulation.inertia import LUMPS, build_links, compute_link_motion
 from teleop.config.arm import BendingSectionConfig
 from tests.estimator.kinematics.random_arms import (
     add_links,
@@ -30,7 +30,7 @@ def build_chain(folder, rng, count):
     return build_links([config], radius), radius, arm, file.read_text()
 
 
-def test_mass_matrix_and_forces_of_50_random_chains_agree_with_pinocchio(tmp_path):
+def test_mass_forces_and_tips_of_50_random_chains_agree_with_pinocchio(tmp_path):
     pin = pytest.importorskip("pinocchio")
     pytest.importorskip("urdf_parser_py")
     rng = np.random.default_rng(3)
@@ -51,15 +51,22 @@ def test_mass_matrix_and_forces_of_50_random_chains_agree_with_pinocchio(tmp_pat
         upper = np.triu(pin.crba(model, data, q_pin))
         reference = (upper + np.triu(upper, 1).T)[np.ix_(columns, columns)]
         force = pin.rnea(model, data, q_pin, v_pin, np.zeros(model.nv))[columns]
-        mass, driven = compute_inertia(links, q * radius, rate * radius)
+        pin.framesForwardKinematics(model, data, q_pin)
+        frame, world = model.getFrameId("tip"), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        jacobian = pin.computeFrameJacobian(model, data, q_pin, frame, world)[:, columns]
+        mass, driven, unit, tips = compute_link_motion(links, q * radius, rate * radius)
         assert mass * np.outer(radius, radius) == pytest.approx(reference, abs=1e-9)
         assert driven * radius == pytest.approx(force, abs=1e-9)
+        assert tips[0] == pytest.approx(data.oMf[frame].translation, abs=1e-12)
+        moves = unit * radius[:, None]
+        assert pytest.approx(jacobian[:3], abs=1e-12) == (moves[0] + np.cross(moves[1], tips[0])).T
+        assert pytest.approx(jacobian[3:], abs=1e-12) == moves[1].T
 
 
-def place_lumps(links, q):
-    """Return the lumps of curved sections in series [m], by walking along each in short steps."""
+def walk_curves(links, q):
+    """Return the lumps of curved sections in series [m], and their end, by short steps."""
     steps, turn, place, lumps = 400, np.eye(3), np.zeros(3), []
-    for part, first in enumerate(links.joint):
+    for part, first in enumerate(links.joint[:-1]):
         x, y = q[first : first + 2] / steps
         step = np.array([[0, 0, x], [0, 0, y], [-x, -y, 0]])
         half = np.eye(3) + step / 2 + step @ step / 8
@@ -69,7 +76,7 @@ def place_lumps(links, q):
             if (k - steps // (2 * LUMPS)) % (steps // LUMPS) == 0:
                 lumps.append((links.mass[part] / LUMPS, place))
             place = place + middle[:, 2] * links.length[part] / steps
-    return lumps
+    return lumps, place
 
 
 def test_curved_sections_are_lumps_on_their_middle_line():
@@ -90,14 +97,14 @@ def test_curved_sections_are_lumps_on_their_middle_line():
 
     def kinetic(at, speed):
         """Of the lumps, by differences of their places."""
-        ahead, behind = (place_lumps(links, at + sign * 1e-4 * speed) for sign in (1.0, -1.0))
+        ahead, behind = (walk_curves(links, at + sign * 1e-4 * speed)[0] for sign in (1.0, -1.0))
         return sum(
             0.5 * mass * ((after - before) ** 2).sum() / 4e-8
             for (mass, after), (_, before) in zip(ahead, behind, strict=True)
         )
 
     speed = np.array(rate, float)
-    mass, force = compute_inertia(links, q, speed)
+    mass, force, *_ = compute_link_motion(links, q, speed)
     assert 0.5 * speed @ mass @ speed == pytest.approx(kinetic(q, speed), rel=1e-4)
     slope = np.array(
         [
@@ -105,7 +112,14 @@ def test_curved_sections_are_lumps_on_their_middle_line():
             for axis in np.eye(4)
         ]
     )
-    ahead, behind = (compute_inertia(links, q + s * step * speed, speed)[0] for s in (1.0, -1.0))
+    ahead, behind = (
+        compute_link_motion(links, q + s * step * speed, speed).mass for s in (1.0, -1.0)
+    )
     lagrange = (ahead - behind) @ speed / (2.0 * step) - slope
     assert force == pytest.approx(lagrange, abs=1e-3 * np.abs(force).max())
     assert np.abs(force).max() > 0.05
+    _, _, unit, tips = compute_link_motion(links, q, speed)
+    assert tips[0] == pytest.approx(walk_curves(links, q)[1], abs=1e-6)
+    ends = [[walk_curves(links, q + s * axis)[1] for s in (1e-4, -1e-4)] for axis in np.eye(4)]
+    by_steps = [(ahead - behind) / 2e-4 for ahead, behind in ends]
+    assert unit[0] + np.cross(unit[1], tips[0]) == pytest.approx(np.array(by_steps), abs=1e-6)
