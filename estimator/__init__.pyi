@@ -14,11 +14,6 @@ from estimator.kinematics.arm import CurvedSection as CurvedSection
 from estimator.kinematics.arm import Joint as Joint
 from estimator.kinematics.arm import Offset as Offset
 from estimator.kinematics.arm import prepare_arm as prepare_arm
-from estimator.kinematics.fixtures import FixturesConfig as FixturesConfig
-from estimator.kinematics.fixtures import Guide as Guide
-from estimator.kinematics.fixtures import Plane as Plane
-from estimator.kinematics.fixtures import build_fixtures as build_fixtures
-from estimator.kinematics.fixtures import write_fixture_torque as write_fixture_torque
 from estimator.kinematics.forward import compute_jacobian as compute_jacobian
 from estimator.kinematics.forward import compute_part_frames as compute_part_frames
 from estimator.kinematics.forward import compute_tip_pose as compute_tip_pose
@@ -36,6 +31,11 @@ from estimator.kinematics.inverse import step_inverse as step_inverse
 from estimator.kinematics.tip_wrench import TipWrench as TipWrench
 from estimator.kinematics.tip_wrench import compute_tip_wrench as compute_tip_wrench
 from estimator.kinematics.urdf import read_arm as read_arm
+from estimator.kinematics.virtual_fixtures import FixturesConfig as FixturesConfig
+from estimator.kinematics.virtual_fixtures import Guide as Guide
+from estimator.kinematics.virtual_fixtures import Plane as Plane
+from estimator.kinematics.virtual_fixtures import build_fixtures as build_fixtures
+from estimator.kinematics.virtual_fixtures import write_fixture_torque as write_fixture_torque
 from estimator.law.sheath import Section as Section
 from estimator.law.sheath import Sheath as Sheath
 from estimator.law.transmission import Simulation as Simulation

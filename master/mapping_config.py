@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from estimator.kinematics.fixtures import FixturesConfig
 from estimator.kinematics.inverse import InverseConfig
+from estimator.kinematics.virtual_fixtures import FixturesConfig
 from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.messages.messages import MAX_JOINTS
 

@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.kinematics.arm import MAX_COORDINATES, Arm, PreparedArm, prepare_arm
-from estimator.kinematics.fixtures import Fixtures, build_fixtures, write_fixture_torque
 from estimator.kinematics.forward import write_kinematics
 from estimator.kinematics.hand_map import (
     AXES,
@@ -48,6 +47,7 @@ from estimator.kinematics.inverse import (
     step_inverse,
 )
 from estimator.kinematics.rotations import multiply, to_quaternion
+from estimator.kinematics.virtual_fixtures import Fixtures, build_fixtures, write_fixture_torque
 from estimator.records import F64, I64, Field, Struct, StructArray, view_struct
 from master.hand_input import Axes, HandInput
 from master.hand_map import VelocityMap, pass_dead_band

@@ -22,8 +22,8 @@ from estimator.compiled import jit_compile
 from estimator.law import tables
 from estimator.law.sheath import Sheath
 from estimator.records import F64, Struct
-from slave.fault_detection.cell import LoadCell, TendonAverage
 from slave.fault_detection.config import FaultDetectionConfig
+from slave.fault_detection.load_cell import LoadCell, TendonAverage
 from slave.tendons import TendonGroup
 from teleop.session.state_machine import Reason
 

@@ -7,7 +7,7 @@ import pytest
 
 from estimator.records import to_struct
 from slave.fault_detection import FaultDetectionConfig
-from slave.fault_detection.cell import LoadCell, check_cell
+from slave.fault_detection.load_cell import LoadCell, check_cell
 from studies.testbed.control_bench import DT
 from teleop.session.state_machine import Reason
 from tests.slave.fault_detection.readings import readings

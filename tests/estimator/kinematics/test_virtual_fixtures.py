@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from estimator.kinematics.arm import prepare_arm
-from estimator.kinematics.fixtures import (
+from estimator.kinematics.forward import write_kinematics
+from estimator.kinematics.inverse import InverseConfig, build_inverse_settings
+from estimator.kinematics.virtual_fixtures import (
     FixturesConfig,
     Guide,
     Plane,
@@ -14,8 +16,6 @@ from estimator.kinematics.fixtures import (
     compute_tip_force,
     write_fixture_torque,
 )
-from estimator.kinematics.forward import write_kinematics
-from estimator.kinematics.inverse import InverseConfig, build_inverse_settings
 from tests.estimator.kinematics.random_arms import (
     random_chain,
     random_coordinates,
