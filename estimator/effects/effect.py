@@ -13,7 +13,7 @@ Several effects act one after another, in the order in which they are given.
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,6 +185,16 @@ class Effect:
     def is_active_in(self, context: EffectContext) -> bool:
         """Return whether it acts in a record."""
         return self.file in (0, context.file)
+
+
+def set_physics(*names: str) -> Callable[[Physics, Values, EffectContext], Physics]:
+    """Return a change of the tendon that sets fields of `Physics` to an effect's values in turn."""
+
+    def physics(physics: Physics, values: Values, _context: EffectContext) -> Physics:
+        fields: dict[str, Any] = dict(zip(names, values, strict=True))
+        return physics._replace(**fields)
+
+    return physics
 
 
 def compute_step(time: Array, onset: float, duration: float = 0.0) -> Array:

@@ -1,9 +1,18 @@
 """Effects in the elasticity, length and shape of a tendon and its sheath."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.effects.effect import PROXIMAL_DISPLACEMENT, Effect, EffectContext, Parameter, Values
+from estimator.effects.effect import (
+    PROXIMAL_DISPLACEMENT,
+    Effect,
+    EffectContext,
+    Parameter,
+    Values,
+    set_physics,
+)
 from estimator.lumped.lumped_model import Physics
 from estimator.lumped.nodes import EDGES, PLACES
 
@@ -35,29 +44,24 @@ def _apply_gradual_curvature(physics: Physics, values: Values, _context: EffectC
     return physics._replace(weights=weights / weights.sum())
 
 
-_CURVATURE = "the sheath is not bent evenly"
-_CURVATURE_SOURCE = "docs/explanation/theory.md (T4)"
-_CURVATURE_ADVICE = "Calibrate with the loop: its K is right for any shape; M_e alone is not."
-
 TWO_SECTIONS = Effect(
     name="nonuniform_curvature",
-    cause=_CURVATURE,
+    cause="the sheath is not bent evenly",
     equation="compliance per friction e^ratio times as large behind the cut, a share of K",
     parameters=(
         Parameter("ratio", "ln", -5.0, 5.0, 0.3),
         Parameter("cut", "of K", 0.02, 0.98, 0.1, None),
     ),
-    source=_CURVATURE_SOURCE,
-    advice=_CURVATURE_ADVICE,
+    source="docs/explanation/theory.md (T4)",
+    advice="Calibrate with the loop: its K is right for any shape; M_e alone is not.",
     starts=lambda _: [(0.6, cut) for cut in (0.15, 0.35, 0.6, 0.85)],
     physics=_apply_two_sections,
     where="two sections",
     required_channels=TRAVEL,
 )
 
-THREE_SECTIONS = Effect(
-    name="nonuniform_curvature",
-    cause=_CURVATURE,
+THREE_SECTIONS = replace(
+    TWO_SECTIONS,
     equation="compliance per friction e^second and e^third times the first section's; cuts in "
     "shares of K",
     parameters=(
@@ -66,27 +70,20 @@ THREE_SECTIONS = Effect(
         Parameter("cut", "of K", 0.02, 0.9, 0.1, None),
         Parameter("width", "of the rest", 0.05, 0.95, 0.1, None),
     ),
-    source=_CURVATURE_SOURCE,
-    advice=_CURVATURE_ADVICE,
     starts=lambda _: [
         (a, b, 0.33, 0.5) for a, b in ((0.6, 0.0), (0.0, 0.6), (0.5, 1.0), (0.5, -0.5))
     ],
     physics=_apply_three_sections,
     where="three sections",
-    required_channels=TRAVEL,
 )
 
-GRADUAL_CURVATURE = Effect(
-    name="nonuniform_curvature",
-    cause=_CURVATURE,
+GRADUAL_CURVATURE = replace(
+    TWO_SECTIONS,
     equation="compliance per friction ~ e^(ratio s/K)",
     parameters=(Parameter("ratio", "ln", -6.0, 6.0, 0.3),),
-    source=_CURVATURE_SOURCE,
-    advice=_CURVATURE_ADVICE,
     starts=lambda _: [(0.6,)],
     physics=_apply_gradual_curvature,
     where="gradually along the sheath",
-    required_channels=TRAVEL,
 )
 
 NONLINEAR_STIFFNESS = Effect(
@@ -100,7 +97,7 @@ NONLINEAR_STIFFNESS = Effect(
     source="range assumed: 0.05 to 0.5 % strain over 1 to 5 N",
     advice="Test the bare tendon in tension, stay above the toe, or use a tendon that is set.",
     starts=lambda _: [(1e-4, tension) for tension in (0.7, 2.0, 6.0)],
-    physics=lambda physics, values, _: physics._replace(toe=values[0], toe_tension=values[1]),
+    physics=set_physics("toe", "toe_tension"),
     required_channels=TRAVEL,
 )
 
@@ -115,7 +112,7 @@ CREEP = Effect(
     source="standard linear solid; steel below 1 %, UHMWPE 2 to 10 % a minute, assumed",
     advice="Preload the tendon before use; polymer tendons need the model.",
     starts=lambda _: [(0.08, time) for time in (1.0, 4.0, 15.0)],
-    physics=lambda physics, values, _: physics._replace(creep=values[0], creep_time=values[1]),
+    physics=set_physics("creep", "creep_time"),
     required_channels=TRAVEL,
 )
 
@@ -130,7 +127,7 @@ SHEATH_COMPRESSION = Effect(
     source="a spring wound sheath that buckles; range assumed",
     advice="Anchor the sheath, use an over-tube, or one of a stiffer winding.",
     starts=lambda context: [(5e-7, share * context.peak) for share in (0.1, 0.35, 0.6)],
-    physics=lambda physics, values, _: physics._replace(compression=values[0], threshold=values[1]),
+    physics=set_physics("compression", "threshold"),
     required_channels=TRAVEL,
 )
 

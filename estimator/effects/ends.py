@@ -1,10 +1,10 @@
 """Effects at the ends of a tendon: its start, the joint, and what moves the tip."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 
-from estimator.array_types import Array
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
     PROXIMAL_DISPLACEMENT,
@@ -14,6 +14,7 @@ from estimator.effects.effect import (
     Parameter,
     Values,
     compute_step,
+    set_physics,
     transform_channel,
 )
 from estimator.lumped.lumped_model import Physics
@@ -32,7 +33,7 @@ PRETENSION = Effect(
     source="docs/explanation/theory.md (T15)",
     advice="Begin each record with a full pull and release; that erases the initial state.",
     starts=lambda context: [(float(context.measured[PROXIMAL_TENSION][0]),), (2.0,), (6.0,)],
-    physics=lambda physics, values, _: physics._replace(start=values[0]),
+    physics=set_physics("start"),
     where="the same all along",
 )
 
@@ -41,15 +42,13 @@ def _build_pretension(
     stroke: str, where: str, build_turns: Callable[[float, float], list[float]]
 ) -> Effect:
     """Return the pretension that motion before the record has left behind in the sheath."""
-    return Effect(
-        name="pretension",
+    return replace(
+        PRETENSION,
         cause=f"the record begins in the midst of motion, after a {stroke} that the "
         "sheath remembers",
         equation=f"before the first sample the motor came from further {where}, by a share of its "
         "range in the record (the tension did, where there is no travel)",
         parameters=(Parameter("share", "", 0.0, 1.0, 0.01, None),),
-        source=PRETENSION.source,
-        advice=PRETENSION.advice,
         starts=lambda _: [(share,) for share in (0.01, 0.04, 0.2)],
         physics=lambda physics, values, context: physics._replace(
             earlier_turns=np.array(build_turns(values[0], float(np.ptp(context.drive))))
@@ -62,11 +61,6 @@ PRETENSION_PULLED = _build_pretension("pull", "out", lambda share, span: [share 
 PRETENSION_RELEASED = _build_pretension("release", "in", lambda share, span: [span, -share * span])
 
 
-def apply_backlash(travel: Array, width: float) -> Array:
-    """Return what a link follows of a travel through a play of `width` [m], from its middle."""
-    return apply_play(travel, 0.5 * width)
-
-
 JOINT_BACKLASH = Effect(
     name="joint_backlash",
     cause="there is play between the tendon's pulley and the link",
@@ -76,7 +70,7 @@ JOINT_BACKLASH = Effect(
     advice="Take the play out, or measure at the pulley and at the link.",
     starts=lambda _: [(3e-5,), (1.5e-4,)],
     measure=lambda signals, values, _: transform_channel(
-        signals, DISTAL_DISPLACEMENT, lambda q: apply_backlash(q, values[0])
+        signals, DISTAL_DISPLACEMENT, lambda q: apply_play(q, 0.5 * values[0])
     ),
     required_channels=BOTH_TRAVELS,
 )
@@ -131,7 +125,7 @@ TIP_INERTIA = Effect(
     source="Newton",
     advice="Move more smoothly, or take the load off the tip.",
     starts=lambda _: [(0.05, 5.0), (0.5, 10.0), (0.05, 100.0)],
-    physics=lambda physics, values, _: physics._replace(mass=values[0], damping=values[1]),
+    physics=set_physics("mass", "damping"),
     required_channels=TRAVEL,
 )
 
@@ -171,17 +165,15 @@ def find_largest_deviation(context: EffectContext, width: float) -> float:
     return float(context.time[begin])
 
 
-_TIP_MOTION_PARAMETERS = (
-    Parameter("size", "m", -0.05, 0.05, 5e-5),
-    Parameter("onset", "s", 1.0, 1e6, 0.3, None, jumps=True),
-    Parameter("duration", "s", 0.02, 10.0, 0.2, None),
-)
-
 TIP_MOVED = Effect(
     name="tip_moved",
     cause="something other than the tendon moved the tip",
     equation="q_d = c T_out + size from the onset on",
-    parameters=_TIP_MOTION_PARAMETERS,
+    parameters=(
+        Parameter("size", "m", -0.05, 0.05, 5e-5),
+        Parameter("onset", "s", 1.0, 1e6, 0.3, None, jumps=True),
+        Parameter("duration", "s", 0.02, 10.0, 0.2, None),
+    ),
     source="docs/explanation/theory.md (T18)",
     advice="No fault of the bench; watch what touches the tip at that time.",
     starts=lambda context: [(2e-4, t, 0.5) for t in context.spread_times(2 * ONSET_COUNT)],
@@ -190,17 +182,13 @@ TIP_MOVED = Effect(
     required_channels=TRAVEL,
 )
 
-TIP_MOVED_BACK = Effect(
-    name="tip_moved",
-    cause=TIP_MOVED.cause,
+TIP_MOVED_BACK = replace(
+    TIP_MOVED,
     equation="q_d = c T_out + size between onset and return",
-    parameters=(*_TIP_MOTION_PARAMETERS, Parameter("stay", "s", 0.0, 1e5, 0.5, None)),
-    source=TIP_MOVED.source,
-    advice=TIP_MOVED.advice,
+    parameters=(*TIP_MOVED.parameters, Parameter("stay", "s", 0.0, 1e5, 0.5, None)),
     starts=_build_excursion_starts,
     physics=_apply_tip_excursion,
     where="and took it back",
-    required_channels=TRAVEL,
 )
 
 EFFECTS = (

@@ -1,5 +1,7 @@
 """Effects in the friction of a tendon on its sheath (docs/how-to/diagnose.md, friction)."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from estimator.array_types import Array
@@ -10,6 +12,7 @@ from estimator.effects.effect import (
     Parameter,
     Values,
     compute_step,
+    set_physics,
 )
 from estimator.lumped.lumped_model import Physics
 from estimator.lumped.nodes import EDGES, PLACES
@@ -64,7 +67,7 @@ CONSTANT_DRAG = Effect(
     source="docs/explanation/theory.md, section 8; range assumed: 0.1 to 2 N",
     advice="Look at seals and at sharp bends of a stiff tendon; tare both load cells while slack.",
     starts=lambda _: [(0.4,)],
-    physics=lambda physics, values, _: physics._replace(drag=values[0]),
+    physics=set_physics("drag"),
 )
 
 VISCOUS_FRICTION = Effect(
@@ -75,13 +78,9 @@ VISCOUS_FRICTION = Effect(
     source="docs/explanation/theory.md, section 8; small on cable drives: Miyasaka et al. 2015",
     advice="Change the lubricant, or move more slowly.",
     starts=lambda _: [(100.0,), (500.0,)],
-    physics=lambda physics, values, _: physics._replace(viscosity=values[0]),
+    physics=set_physics("viscosity"),
 )
 
-_STRIBECK_PARAMETERS = (
-    Parameter("ratio", "", -0.5, 3.0, 0.05),
-    Parameter("speed", "m/s", 2e-5, 0.5, 2e-4, None),
-)
 STRIBECK_SHARES = (0.03, 0.1, 0.25, 0.6)  # of a record's high speeds, where a fit begins
 
 
@@ -94,27 +93,26 @@ STRIBECK_FRICTION = Effect(
     name="stribeck_friction",
     cause="friction is higher near standstill than in motion",
     equation="K(v) = K (1 + ratio exp(-(v/speed)^2)), v from the motor's speed",
-    parameters=_STRIBECK_PARAMETERS,
+    parameters=(
+        Parameter("ratio", "", -0.5, 3.0, 0.05),
+        Parameter("speed", "m/s", 2e-5, 0.5, 2e-4, None),
+    ),
     source="Stribeck; range assumed: 5 to 50 %, 0.1 to 10 mm/s",
     advice="Avoid creeping speeds, or use a lubricant with less stiction.",
     starts=lambda context: [(0.2, speed) for speed in _choose_stribeck_speeds(context)],
-    physics=lambda physics, values, _: physics._replace(
-        stribeck=values[0], stribeck_speed=values[1], stribeck_memory=0.0
-    ),
+    physics=set_physics("stribeck", "stribeck_speed"),
     where="by the motor's speed",
 )
 
-STRIBECK_WITH_MEMORY = Effect(
-    name="stribeck_friction",
-    cause=STRIBECK_FRICTION.cause,
+STRIBECK_WITH_MEMORY = replace(
+    STRIBECK_FRICTION,
     equation="K(v) = K (1 + ratio exp(-(v/speed)^2)), v the contact's own, late by the memory",
-    parameters=(*_STRIBECK_PARAMETERS, Parameter("memory", "s", 0.02, 5.0, 0.05, None)),
-    source=STRIBECK_FRICTION.source,
-    advice=STRIBECK_FRICTION.advice,
-    starts=lambda context: [(0.2, speed, 0.15) for speed in _choose_stribeck_speeds(context)],
-    physics=lambda physics, values, _: physics._replace(
-        stribeck=values[0], stribeck_speed=values[1], stribeck_memory=values[2]
+    parameters=(
+        *STRIBECK_FRICTION.parameters,
+        Parameter("memory", "s", 0.02, 5.0, 0.05, None),
     ),
+    starts=lambda context: [(0.2, speed, 0.15) for speed in _choose_stribeck_speeds(context)],
+    physics=set_physics("stribeck", "stribeck_speed", "stribeck_memory"),
     where="by each contact's own, with a memory",
     is_transient=True,
 )
@@ -128,19 +126,15 @@ PRESLIDING = Effect(
     source="bristle models: Dahl 1968; 5 to 100 um, after Do et al. 2013",
     advice="Nothing is broken; the model needs it where small reversals matter.",
     starts=lambda _: [(8e-6,), (3e-5,), (1e-4,)],
-    physics=lambda physics, values, _: physics._replace(presliding=values[0]),
+    physics=set_physics("presliding"),
     where="the same distance at any tension",
 )
 
-PRESLIDING_STIFF = Effect(
-    name="presliding",
-    cause=PRESLIDING.cause,
+PRESLIDING_STIFF = replace(
+    PRESLIDING,
     equation="friction rises to its limit as a spring of constant stiffness, which gives the "
     "distance where the tension is 10 N",
     parameters=(PRESLIDING.parameters[0]._replace(unit="m/10 N"),),
-    source=PRESLIDING.source,
-    advice=PRESLIDING.advice,
-    starts=PRESLIDING.starts,
     physics=lambda physics, values, _: physics._replace(
         presliding=values[0], presliding_tension=10.0
     ),
@@ -197,21 +191,17 @@ DISTRIBUTED_PLAY = Effect(
     required_channels=frozenset({DISTAL_TENSION}),
 )
 
-PLAY_SPECTRUM = Effect(
-    name=DISTRIBUTED_PLAY.name,
-    cause=DISTRIBUTED_PLAY.cause,
+PLAY_SPECTRUM = replace(
+    DISTRIBUTED_PLAY,
     equation="T_out = (T(K) + w1 T(0.24 K) + w2 T(0.59 K) + w3 T(1.42 K) + w4 T(1.75 K)) over the "
     "sum of the weights, where T(s) is T_in after a play of threshold s",
     parameters=tuple(
         Parameter(f"w{j}", "of the force at K", 0.0, 50.0, 0.05)
         for j in range(1, len(_PLAY_THRESHOLDS))
     ),
-    source=DISTRIBUTED_PLAY.source,
-    advice=DISTRIBUTED_PLAY.advice,
     starts=lambda _: [(0.1, 0.1, 0.1, 0.1), (0.2, 0.2, 0.0, 0.0), (0.0, 0.0, 0.2, 0.2)],
     physics=_apply_play_spectrum,
     where="a weight for each of five plays",
-    required_channels=DISTRIBUTED_PLAY.required_channels,
 )
 
 DIRECTION_ASYMMETRY = Effect(
@@ -222,7 +212,7 @@ DIRECTION_ASYMMETRY = Effect(
     source="docs/explanation/theory.md, section 8; range assumed: 0.8 to 1.2",
     advice="Check the load cells with weights first: a wrong gain looks the same at the tip.",
     starts=lambda _: [(1.1,)],
-    physics=lambda physics, values, _: physics._replace(asymmetry=values[0]),
+    physics=set_physics("asymmetry"),
 )
 
 TENSION_DEPENDENT_POWER = Effect(
@@ -239,15 +229,13 @@ TENSION_DEPENDENT_POWER = Effect(
     where="a power of the tension",
 )
 
-TENSION_DEPENDENT_LINEAR = Effect(
-    name="tension_dependent_friction",
-    cause=TENSION_DEPENDENT_POWER.cause,
+TENSION_DEPENDENT_LINEAR = replace(
+    TENSION_DEPENDENT_POWER,
     equation="dT/ds = -/+ T (1 + rise T)",
     parameters=(Parameter("rise", "1/N", -0.03, 0.2, 0.002),),
     source="a sheath that is pressed closer, or buckles; range assumed",
-    advice=TENSION_DEPENDENT_POWER.advice,
     starts=lambda _: [(0.005,)],
-    physics=lambda physics, values, _: physics._replace(rise=values[0]),
+    physics=set_physics("rise"),
     where="linear in the tension",
 )
 
@@ -263,9 +251,7 @@ STICK_SLIP = Effect(
     source="Rabinowicz 1951; range assumed: above 10 %, below 1 mm/s",
     advice="Move faster than it sticks, lubricate, or stiffen the drive.",
     starts=lambda _: [(0.2, time, d) for time in (0.05, 0.3) for d in (5e-6, 3e-5)],
-    physics=lambda physics, values, _: physics._replace(
-        static=values[0], static_time=values[1], static_distance=values[2]
-    ),
+    physics=set_physics("static", "static_time", "static_distance"),
     is_transient=True,
 )
 

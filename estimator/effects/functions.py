@@ -21,11 +21,9 @@ from estimator.effects.effect import (
     EffectContext,
     FunctionTerm,
     Parameter,
-    Signals,
     Values,
-    transform_channel,
 )
-from estimator.effects.sensors import SENSOR_NAMES
+from estimator.effects.sensors import SENSOR_NAMES, build_sensor_effect
 from estimator.lumped.lumped_model import Physics
 from estimator.online.reading_correction import CURVE_ITERATIONS, CorrectionKind
 from estimator.spline import evaluate_spline
@@ -334,7 +332,6 @@ def _build_function(target: _Target, x: Variable) -> Effect:
     coefficients = tuple(
         target.coefficient._replace(name=f"c{k}") for k in range(1, COEFFICIENTS + 1)
     )
-    required = {PROXIMAL_DISPLACEMENT} if x.needs_travel else set()
     effect = Effect(
         name=f"{target.key}_by_{x.key}",
         cause=f"{target.words} depends on {x.words}",
@@ -344,7 +341,7 @@ def _build_function(target: _Target, x: Variable) -> Effect:
         source="no law: a penalised spline, Eilers and Marx 1996",
         advice=f"Possible origin: {x.origin}. Experiment that decides: {x.experiment}.",
         starts=lambda _: [],
-        required_channels=frozenset(required | ({target.channel} - {""})),
+        required_channels=frozenset({PROXIMAL_DISPLACEMENT} if x.needs_travel else ()),
         function=term,
         correction=_CORRECTIONS.get(target.key) if x is _OWN else None,
     )
@@ -354,16 +351,7 @@ def _build_function(target: _Target, x: Variable) -> Effect:
         return replace(effect, physics=partial(_change_physics, effect=effect))
     forward = partial(_change_reading, effect=effect, direction=1)
     backward = partial(_change_reading, effect=effect, direction=-1)
-
-    def measure(signals: Signals, values: Values, context: EffectContext) -> Signals:
-        if context.driver == target.channel:
-            return signals
-        return transform_channel(signals, target.channel, lambda y: forward(y, values, context))
-
-    def invert(drive: Array, values: Values, context: EffectContext) -> Array:
-        return backward(drive, values, context) if context.driver == target.channel else drive
-
-    return replace(effect, measure=measure, invert=invert)
+    return build_sensor_effect(target.channel, forward, backward, effect)
 
 
 def _shift_range(values: Values, zero: float) -> Values:

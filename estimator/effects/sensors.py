@@ -19,8 +19,8 @@ from estimator.effects.effect import (
     compute_step,
     transform_channel,
 )
-from estimator.effects.ends import apply_backlash
 from estimator.online.reading_correction import CorrectionKind
+from estimator.signals import apply_play
 
 ONSET_COUNT = 12
 SLIP_STEP_COUNT = 6  # of a reading, that may be slips
@@ -39,7 +39,7 @@ SENSOR_NAMES = {
 SignalTransform = Callable[[Array, Values, EffectContext], Array]
 
 
-def _build_sensor_effect(
+def build_sensor_effect(
     channel: str, forward: SignalTransform, inverse: SignalTransform, effect: Effect
 ) -> Effect:
     """Return an effect as one of a sensor: `forward` makes its reading, `inverse` takes it back."""
@@ -62,13 +62,13 @@ def _build_sensor_effect(
     )
 
 
-def _build_gain(name: str, channel: str) -> Effect:
-    return _build_sensor_effect(
+def _build_gain(channel: str) -> Effect:
+    return build_sensor_effect(
         channel,
         lambda T, values, _: (1.0 + values[0]) * T,
         lambda T, values, _: T / (1.0 + values[0]),
         Effect(
-            name=name,
+            name=f"{channel}_gain",
             cause=f"{SENSOR_NAMES[channel]} has a wrong gain",
             equation="reading = (1 + gain) T",
             parameters=(Parameter("gain", "", -0.8, 4.0, 0.02),),
@@ -80,13 +80,13 @@ def _build_gain(name: str, channel: str) -> Effect:
     )
 
 
-def _build_bias(name: str, channel: str) -> Effect:
-    return _build_sensor_effect(
+def _build_bias(channel: str) -> Effect:
+    return build_sensor_effect(
         channel,
         lambda T, values, _: T + values[0],
         lambda T, values, _: T - values[0],
         Effect(
-            name=name,
+            name=f"{channel}_bias",
             cause=f"{SENSOR_NAMES[channel]} does not read zero without tension",
             equation="reading = T + bias",
             parameters=(Parameter("bias", "N", -200.0, 200.0, 0.05),),
@@ -102,13 +102,13 @@ def _compute_ramp(values: Values, context: EffectContext) -> Array:
     return np.asarray(values[0] * (context.time - context.time[0]) / 60.0)
 
 
-def _build_drift(name: str, channel: str) -> Effect:
-    return _build_sensor_effect(
+def _build_drift(channel: str) -> Effect:
+    return build_sensor_effect(
         channel,
         lambda T, values, context: T + _compute_ramp(values, context),
         lambda T, values, context: T - _compute_ramp(values, context),
         Effect(
-            name=name,
+            name=f"{channel}_drift",
             cause=f"the zero of {SENSOR_NAMES[channel]} wanders",
             equation="reading = T + rate t",
             parameters=(Parameter("rate", "N/min", -20.0, 20.0, 0.05),),
@@ -151,7 +151,7 @@ def _invert_first_order_lag(signal: Array, values: Values, context: EffectContex
 def _build_lag(
     channel: str, forward: SignalTransform, inverse: SignalTransform, equation: str, kind: str
 ) -> Effect:
-    return _build_sensor_effect(
+    return build_sensor_effect(
         channel,
         forward,
         inverse,
@@ -171,10 +171,9 @@ def _build_lag(
 
 def _delay_tip_signals(signals: Signals, values: Values, context: EffectContext) -> Signals:
     for channel in (DISTAL_TENSION, DISTAL_DISPLACEMENT):
-        if channel in signals:
-            signals = transform_channel(
-                signals, channel, lambda signal: _delay_signal(signal, values, context)
-            )
+        signals = transform_channel(
+            signals, channel, lambda signal: _delay_signal(signal, values, context)
+        )
     return signals
 
 
@@ -201,7 +200,7 @@ def _build_limit_starts(channel: str) -> Callable[[EffectContext], Iterable[Valu
 
 
 def _build_saturation(channel: str) -> Effect:
-    return _build_sensor_effect(
+    return build_sensor_effect(
         channel,
         lambda T, values, _: np.minimum(T, values[0]),
         lambda T, _values, _context: T,
@@ -224,7 +223,7 @@ def _build_encoder_scale(channel: str) -> Effect:
         zero = 0.0 if signal is None else signal[0]  # encoders count from anywhere
         return np.asarray(zero + by * (q - zero))
 
-    return _build_sensor_effect(
+    return build_sensor_effect(
         channel,
         lambda q, values, context: scaled(q, 1.0 + values[0], context),
         lambda q, values, context: scaled(q, 1.0 / (1.0 + values[0]), context),
@@ -265,7 +264,7 @@ def _find_slip_starts(context: EffectContext, channel: str) -> Iterable[Values]:
 
 
 def _build_encoder_slip(channel: str) -> Effect:
-    return _build_sensor_effect(
+    return build_sensor_effect(
         channel,
         lambda q, values, context: q + _compute_slip(values, context),
         lambda q, values, context: q - _compute_slip(values, context),
@@ -442,7 +441,7 @@ COGGING_RIPPLE = Effect(
 
 def _apply_sheath_rub(signals: Signals, values: Values, context: EffectContext) -> Signals:
     force, width = values
-    lead = (context.drive - apply_backlash(context.drive, width)) / (0.5 * width)
+    lead = (context.drive - apply_play(context.drive, 0.5 * width)) / (0.5 * width)
     return transform_channel(signals, PROXIMAL_TENSION, lambda T: T + force * lead)
 
 
@@ -464,27 +463,16 @@ SHEATH_RUB = Effect(
 
 _TENSIONS = (PROXIMAL_TENSION, DISTAL_TENSION)
 _TRAVELS = (PROXIMAL_DISPLACEMENT, DISTAL_DISPLACEMENT)
+_LAGS = (
+    (_delay_signal, _advance_signal, "reading(t) = signal(t - time)", "by a delay"),
+    (_apply_first_order_lag, _invert_first_order_lag, "time dr/dt + r = signal", "by a filter"),
+)
 
 EFFECTS = (
-    *(_build_gain(f"{channel}_gain", channel) for channel in _TENSIONS),
-    *(_build_bias(f"{channel}_bias", channel) for channel in _TENSIONS),
-    *(_build_drift(f"{channel}_drift", channel) for channel in _TENSIONS),
-    *(
-        _build_lag(
-            channel, _delay_signal, _advance_signal, "reading(t) = signal(t - time)", "by a delay"
-        )
-        for channel in (*_TENSIONS, *_TRAVELS)
-    ),
-    *(
-        _build_lag(
-            channel,
-            _apply_first_order_lag,
-            _invert_first_order_lag,
-            "time dr/dt + r = signal",
-            "by a filter",
-        )
-        for channel in (*_TENSIONS, *_TRAVELS)
-    ),
+    *(_build_gain(channel) for channel in _TENSIONS),
+    *(_build_bias(channel) for channel in _TENSIONS),
+    *(_build_drift(channel) for channel in _TENSIONS),
+    *(_build_lag(channel, *kind) for kind in _LAGS for channel in (*_TENSIONS, *_TRAVELS)),
     TIP_CLOCK,
     *(_build_saturation(channel) for channel in _TENSIONS),
     *(_build_encoder_scale(channel) for channel in _TRAVELS),
