@@ -24,18 +24,10 @@ _SECOND_DIFFERENCE = math.sqrt(6.0)  # its sigma over that of white noise
 
 @dataclass(frozen=True, slots=True)
 class Treatment:
-    """How a noisy tension is made fit to drive the profile.
+    """How a noisy tension is made fit to drive the profile."""
 
-    Attributes
-    ----------
-    time_constant
-        Of the first-order average [s]; 0 for none. The treated tension lags by as much.
-    dead_band
-        Half-width of the play that follows, in sigma of the averaged tension; 0 for none.
-    """
-
-    time_constant: float = 0.002  # [s]
-    dead_band: float = 2.0  # [-]
+    time_constant: float = 0.002  # [s] of a first-order average, by which it lags; 0 for none
+    dead_band: float = 2.0  # half-width of the play that follows, in sigma of the average; 0: none
 
     def __post_init__(self) -> None:
         """Refuse what cannot be computed."""

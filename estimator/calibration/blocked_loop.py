@@ -48,30 +48,15 @@ class Branch:
 
 @dataclass(frozen=True, slots=True)
 class BlockedLoop:
-    """Branches of which the first is a pull, pulls and releases in turn.
+    """Branches of which the first is a pull, pulls and releases in turn."""
 
-    Attributes
-    ----------
-    branches
-        What the law describes of them: no slack, no pull that may still feel an unknown past.
-    turns
-        T_in [N] at the end of each branch, shape (branches,).
-    start
-        T_in [N] at the beginning.
-    travel
-        Of the motor in the first pull [m].
-    sigma
-        Noise of a sample of tension [N].
-    step
-        Noise of a sample of travel [m], or what its resolution amounts to.
-    """
-
+    # what the law describes of them: no slack, no pull that may still feel an unknown past
     branches: tuple[Branch, ...]
-    turns: Array
-    start: float  # [N]
-    travel: float  # [m]
-    sigma: float  # [N]
-    step: float  # [m]
+    turns: Array  # T_in [N] at the end of each branch, shape (branches,)
+    start: float  # T_in [N] at the beginning
+    travel: float  # of the motor in the first pull [m]
+    sigma: float  # noise of a sample of tension [N]
+    step: float  # noise of a sample of travel [m], or what its resolution amounts to
 
     @property
     def peak(self) -> float:

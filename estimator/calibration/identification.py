@@ -46,33 +46,15 @@ class IdentificationError(ValueError):
 
 @dataclass(frozen=True)
 class FitResult:
-    """What a fit found, and whether to accept it.
+    """What a fit found, and whether to accept it."""
 
-    Attributes
-    ----------
-    parameters
-        By name: "K" [-], and "axial_stiffness" [N] where travel was fitted.
-    rmse
-        Root mean square of the residuals, in the unit of the signal.
-    residuals
-        Measured less simulated, shape (n,).
-    n
-        Number of samples.
-    identifiable
-        Whether the record decides K at all.
-    accept
-        Whether the law describes the record: see `reason`.
-    reason
-        One line that justifies `accept`.
-    """
-
-    parameters: dict[str, IntervalEstimate]
-    rmse: float
-    residuals: Array
-    n: int
-    identifiable: bool
-    accept: bool
-    reason: str
+    parameters: dict[str, IntervalEstimate]  # "K" [-]; "axial_stiffness" [N] where travel is fitted
+    rmse: float  # root mean square of the residuals, in the unit of the signal
+    residuals: Array  # measured less simulated, shape (n,)
+    n: int  # number of samples
+    identifiable: bool  # whether the record decides K at all
+    accept: bool  # whether the law describes the record
+    reason: str  # one line that justifies `accept`
 
 
 def fit_bench(proximal_tension: ArrayLike, distal_tension: ArrayLike) -> FitResult:

@@ -41,21 +41,11 @@ _ENDS_RANGE, _TURNS_RANGE, _ZERO_RANGE = 0.7, 0.5, 3.0
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """Compliance over friction depth, n intervals from the motor to the tip.
+    """Compliance over friction depth, n intervals from the motor to the tip."""
 
-    Attributes
-    ----------
-    ends
-        s at the end of each interval, rising; the last is K.
-    spread
-        Compliance of each interval [m/N].
-    straight
-        Compliance of the straight stretch at s = 0 and at the end of each interval [m/N].
-    """
-
-    ends: tuple[float, ...]
-    spread: tuple[float, ...]  # [m/N]
-    straight: tuple[float, ...]  # [m/N]
+    ends: tuple[float, ...]  # s at the end of each interval, rising; the last is K
+    spread: tuple[float, ...]  # compliance of each interval [m/N]
+    straight: tuple[float, ...]  # the same of a straight stretch at s = 0 and at each end [m/N]
 
     @property
     def K(self) -> float:  # noqa: N802 (the paper's symbol)

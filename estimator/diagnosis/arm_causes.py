@@ -21,30 +21,18 @@ Change = Callable[[TendonValues, float], TendonValues]
 
 @dataclass(frozen=True, eq=False)
 class ArmCause:
-    """One number that may be wrong.
+    """One number that may be wrong."""
 
-    Attributes
-    ----------
-    kind
-        As in reports: passed_joint_friction, joint_radius, coupling, or a tendon's own fault.
-    joint
-        From 0; -1 for a fault of a tendon alone.
-    tendons
-        Rows of the routing that it changes.
-    change
-        Returns the values of one of these, with the number.
-    unit
-        Of the number; "" for a share.
-    step
-        A change that matters.
-    """
+    kind: str  # as in reports: passed_joint_friction, joint_radius, coupling, or of one tendon
+    joint: int  # from 0; -1 for a fault of a tendon alone
+    tendons: tuple[int, ...]  # rows of the routing that it changes
+    change: Change  # returns the values of one of these, with the number
+    unit: str  # of the number; "" for a share
+    step: float  # a change that matters
 
-    kind: str
-    joint: int
-    tendons: tuple[int, ...]
-    change: Change
-    unit: str
-    step: float
+
+_TENSION_FAULTS = (("gain", "", 0.02), ("bias", "N", 0.1))
+"""Field of `TendonValues`, unit and step of what may be wrong with a load cell."""
 
 
 def list_arm_causes(data: ArmData, routing: Routing) -> list[ArmCause]:
@@ -75,19 +63,22 @@ def list_arm_causes(data: ArmData, routing: Routing) -> list[ArmCause]:
                     for i in row
                     if R[i, j] != 0.0
                 ]
-    for i in range(tendons):
-        causes.append(_build_cause("proximal_tension_gain", -1, [i], _set("gain"), "", 0.02))
-        causes.append(_build_cause("proximal_tension_bias", -1, [i], _set("bias"), "N", 0.1))
-        if data.distal_tension is not None:
-            causes.append(
-                _build_cause("distal_tension_gain", -1, [i], _set("distal_gain"), "", 0.02)
-            )
-            causes.append(
-                _build_cause("distal_tension_bias", -1, [i], _set("distal_bias"), "N", 0.1)
-            )
-        if has_travel:
-            causes.append(_build_cause("encoder_scale", -1, [i], _set("encoder_scale"), "", 0.005))
-            causes.append(_build_cause("encoder_play", -1, [i], _set("play"), "m", 2e-5))
+    faults = [(f"proximal_tension_{fault[0]}", *fault) for fault in _TENSION_FAULTS]
+    if data.distal_tension is not None:
+        faults += [
+            (f"distal_tension_{name}", f"distal_{name}", unit, step)
+            for name, unit, step in _TENSION_FAULTS
+        ]
+    if has_travel:
+        faults += [
+            ("encoder_scale", "encoder_scale", "", 0.005),
+            ("encoder_play", "play", "m", 2e-5),
+        ]
+    causes += [
+        _build_cause(kind, -1, [i], _set(field), unit, step)
+        for i in range(tendons)
+        for kind, field, unit, step in faults
+    ]
     return causes
 
 

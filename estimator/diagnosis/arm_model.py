@@ -41,37 +41,17 @@ MEMORY_MAX = 0.01  # of a tension, that its start may still change where samples
 
 @dataclass(frozen=True, eq=False)
 class ArmData:
-    """What was measured on an arm.
+    """What was measured on an arm."""
 
-    Attributes
-    ----------
-    time
-        [s], shape (n,), strictly rising.
-    proximal_tension
-        [N] of each tendon at the housing, shape (n, tendons); NaN where a value is missing.
-    proximal_displacement
-        [m] of each motor, shape (n, tendons), positive while pulling; None without encoders.
-    distal_tension
-        [N], shape (n, tendons), None without: in the arm where a tendon ends, or where its sheath
-        ends.
-    angles
-        [rad] of the joints, shape (n, joints).
-    is_at_anchor
-        Whether `distal_tension` is measured in the arm, behind the passed joints.
-    has_encoders
-        Whether angles were measured, and not computed from travels by the routing.
-    names
-        Of the tendons.
-    """
-
-    time: Array
-    proximal_tension: Array
+    time: Array  # [s], shape (n,), strictly rising
+    proximal_tension: Array  # [N] at the housing, shape (n, tendons); NaN where one is missing
+    # [m] of each motor, shape (n, tendons), positive while pulling; None without encoders
     proximal_displacement: Array | None
-    distal_tension: Array | None
-    angles: Array
-    is_at_anchor: bool
-    has_encoders: bool
-    names: tuple[str, ...]
+    distal_tension: Array | None  # [N], shape (n, tendons); None without
+    angles: Array  # [rad] of the joints, shape (n, joints)
+    is_at_anchor: bool  # `distal_tension` is of tendons' ends in the arm, not of their sheaths'
+    has_encoders: bool  # angles were measured, and not computed from travels by the routing
+    names: tuple[str, ...]  # of the tendons
 
 
 class TendonValues(NamedTuple):

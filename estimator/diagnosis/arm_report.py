@@ -62,9 +62,7 @@ def describe_cause(diagnosis: ArmDiagnosis, entry: NamedCause) -> str:
         return (
             f"{_describe_entry(known, known + value, joint, tendons)} ({_format_mm(known + value)})"
         )
-    size = (
-        f"{_format_share(value) if not cause.unit else format_quantity(abs(value), cause.unit, 2)}"
-    )
+    size = format_quantity(abs(value), cause.unit, 2) if cause.unit else _format_share(value)
     return f"{tendons}: {_SENSOR_CAUSES[cause.kind].format(size=size)}"
 
 
@@ -111,8 +109,7 @@ def build_tendon_table(diagnosis: ArmDiagnosis) -> Table:
     rows = []
     for tendon in diagnosis.tendons:
         cells = [tendon.name]
-        for channel, unit in ((TRAVEL, "um"), (DISTAL_TENSION, "mN")):
-            factor = 1e6 if unit == "um" else 1e3
+        for channel, unit, factor in ((TRAVEL, "um", 1e6), (DISTAL_TENSION, "mN", 1e3)):
             if channel in tendon.noise:
                 errors = (tendon.before[channel], tendon.after[channel], tendon.noise[channel])
                 cells.append(" / ".join(f"{factor * error:.3g}" for error in errors) + f" {unit}")
@@ -121,14 +118,8 @@ def build_tendon_table(diagnosis: ArmDiagnosis) -> Table:
         is_judged = bool(tendon.noise)
         cells.append(f"{tendon.K:.3g} ({tendon.known:.3g})" if is_judged else "-")
         rows.append((*cells, ("yes" if tendon.is_explained else "no") if is_judged else "-"))
-    head = (
-        "tendon",
-        "travel: as known / with causes / noise",
-        "tension: the same",
-        "K (as known)",
-        "explained",
-    )
-    return Table(head, tuple(rows))
+    head = ("tendon", "travel: as known / with causes / noise", "tension: the same")
+    return Table((*head, "K (as known)", "explained"), tuple(rows))
 
 
 def list_notes(diagnosis: ArmDiagnosis) -> list[str]:

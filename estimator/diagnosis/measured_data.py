@@ -77,19 +77,11 @@ _POWERS = {"N": (1, 0), "m": (0, 1), "kg": (1, -1), "N^2": (2, 0), "m^2": (0, 2)
 
 
 class BenchScale(NamedTuple):
-    """Units of a bench, in those of its records, and its zero.
+    """Units of a bench, in those of its records, and its zero."""
 
-    Attributes
-    ----------
-    force, travel
-        How much of a record's unit of effort or travel the unit is.
-    zero
-        Reading of the motor's encoder that counts as none, in the record's unit.
-    """
-
-    force: float = 1.0
-    travel: float = 1.0
-    zero: float = 0.0
+    force: float = 1.0  # how much of a record's unit of effort the unit is
+    travel: float = 1.0  # the same of travel
+    zero: float = 0.0  # reading of the motor's encoder that counts as none, in the record's unit
 
     def size(self, unit: str) -> float:
         """Return how much of a unit of the record, as "m/N" or "N s/m", one of the bench is."""
@@ -167,74 +159,30 @@ def exclude_turns(time: Array, drive: Array, valid: Mask) -> tuple[Mask, list[Da
 
 @dataclass(frozen=True)
 class Record:
-    """One record, ready.
+    """One record, ready; arrays by sample, shape (n,), and by channel where they are dicts."""
 
-    Attributes
-    ----------
-    time
-        From the first sample on [s], shape (n,).
-    signals
-        By channel, as measured, shape (n,) each; what does not count is interpolated.
-    driver
-        The channel that drives the simulation.
-    drive
-        It, monotone between its turning points, shape (n,).
-    speed
-        Its rate, shape (n,).
-    noise
-        Standard deviation of the white noise of each channel, the driver's too.
-    sigma
-        Standard deviation of what a simulation cannot know, by channel, shape (n,) each: the
-        channel's own noise, and what the driver's noise makes of it; see
-        `hidden_motion.propagate_driver_noise`.
-    valid
-        Which samples count, by channel, shape (n,) each.
-    measured
-        Which rows are samples; the others, at turns of the motor between two, count nowhere, (n,).
-    train
-        Which samples are fitted while others are kept for the test, shape (n,).
-    block
-        Number of the block each sample is in, shape (n,).
-    issues
-        What was excluded.
-    decimation_factor
-        How many measured samples became one.
-    units
-        Of the measured data.
-    loop
-        Whether it is of a closed loop of two cables, with effort of either sign, not of one tendon.
-    start
-        Time of the first sample in the data [s].
-    scale
-        Of what the signals are counted in, to `units`.
-    present
-        Which samples were measured, by channel, shape (n,) each; the others are interpolated.
-    variables
-        Further columns of the data, by name, shape (n,) each, which friction may depend on.
-    file
-        Its number among the fitted records, from 1; 0 if it is none of them.
-    """
-
-    time: Array
-    signals: Signals
-    driver: str
-    drive: Array
-    speed: Array
-    noise: dict[str, float]
+    time: Array  # from the first sample on [s]
+    signals: Signals  # as measured; what does not count is interpolated
+    driver: str  # the channel that drives the simulation
+    drive: Array  # it, monotone between its turning points
+    speed: Array  # its rate
+    noise: dict[str, float]  # standard deviation of the white noise, of the driver too
+    # of what a simulation cannot know: the channel's own noise, and what the driver's noise makes
+    # of it; see `hidden_motion.propagate_driver_noise`
     sigma: dict[str, Array]
-    valid: dict[str, Mask]
-    measured: Mask
-    train: Mask
-    block: NDArray[np.int64]
-    issues: tuple[DataIssue, ...]
-    decimation_factor: int
-    units: Units = LINEAR
-    loop: bool = False
-    start: float = 0.0
-    scale: BenchScale = UNIT_SCALE
-    present: dict[str, Mask] = field(default_factory=dict)
-    variables: dict[str, Array] = field(default_factory=dict)
-    file: int = 0
+    valid: dict[str, Mask]  # which samples count
+    measured: Mask  # which rows are samples; others, at turns of the motor between two, never count
+    train: Mask  # which samples are fitted while others are kept for the test
+    block: NDArray[np.int64]  # number of the block each sample is in
+    issues: tuple[DataIssue, ...]  # what was excluded
+    decimation_factor: int  # how many measured samples became one
+    units: Units = LINEAR  # of the measured data
+    loop: bool = False  # of a closed loop of two cables, with effort of either sign; or a tendon
+    start: float = 0.0  # time of the first sample in the data [s]
+    scale: BenchScale = UNIT_SCALE  # of what the signals are counted in, to `units`
+    present: dict[str, Mask] = field(default_factory=dict)  # measured, not interpolated
+    variables: dict[str, Array] = field(default_factory=dict)  # further columns, by name
+    file: int = 0  # its number among the fitted records, from 1; 0 if it is none of them
 
     @cached_property
     def compared(self) -> tuple[str, ...]:

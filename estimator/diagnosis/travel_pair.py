@@ -205,19 +205,9 @@ def _conclude(
         friction = math.log((pull - 1.0) / (release - 1.0))
         stretch = (pull - 1.0) * friction / math.expm1(friction)
     return TravelDiagnosis(
-        verdict,
-        tuple(stages),
-        tuple(others),
-        tuple(search.records),
-        lost[0],
-        lost[1],
-        gain,
-        friction,
-        stretch,
-        missed,
-        search.noise,
-        fraction,
-    )
+        verdict, tuple(stages), tuple(others), tuple(search.records), *lost, gain, friction,
+        stretch, missed, search.noise, fraction,
+    )  # fmt: skip
 
 
 class _Search:
@@ -239,11 +229,13 @@ class _Search:
         parts = []
         for half in (True, False):
             play = self.fit_play(terms, half, has_play, widens)
-            predicted = self._predict(play, terms, self._select(half))
-            parts += [
-                compute_channel_errors(record, DISTAL_DISPLACEMENT, signal, record.train != half)
-                for record, signal in zip(self.records, predicted, strict=True)
-            ]
+            weights, _ = self._solve(play, terms, self._select(half))
+            for record in self.records:
+                tip, samples = (
+                    self._build_design(record, play, terms) @ weights,
+                    record.train != half,
+                )
+                parts.append(compute_channel_errors(record, DISTAL_DISPLACEMENT, tip, samples))
         return Stage(name, words, {DISTAL_DISPLACEMENT: concatenate_errors(parts)})
 
     def is_noise(self, stage: Stage) -> bool:
@@ -291,13 +283,9 @@ class _Search:
                 ),
                 key=lambda play: compute_cost(play, few),
             )
-        start = np.array(
-            [
-                best.half_width / self.span,
-                best.widening,
-                self._find_share(best),
-            ]
-        )
+        share = (best.vertex - self.low) / self.span
+        share = 1.0 - share if best.side < 0 else share
+        start = np.array([best.half_width / self.span, best.widening, share])
         free = 3 if widens else 1
         steps = np.diag([0.01, 0.03, 0.04])[:free]
         minimum = minimize(
@@ -320,10 +308,6 @@ class _Search:
         share = 1.0 - float(x[2]) if side < 0 else float(x[2])
         vertex = self.low + share * self.span
         return Play(abs(float(x[0])) * self.span, float(np.clip(x[1], 0.0, 0.9)), vertex, side)
-
-    def _find_share(self, play: Play) -> float:
-        share = (play.vertex - self.low) / self.span
-        return 1.0 - share if play.side < 0 else share
 
     def _build_design(self, record: Record, play: Play, terms: tuple[str, ...]) -> Array:
         u, t = record.drive, record.time
@@ -352,12 +336,6 @@ class _Search:
         normal[np.diag_indices_from(normal)] += 1e-9 * np.trace(normal)
         weights = np.linalg.solve(normal, A.T @ y)
         return weights, y - A @ weights
-
-    def _predict(
-        self, play: Play, terms: tuple[str, ...], rows: Sequence[NDArray[Any]]
-    ) -> list[Array]:
-        weights, _ = self._solve(play, terms, rows)
-        return [self._build_design(record, play, terms) @ weights for record in self.records]
 
     def estimate_widths(
         self, play: Play, terms: tuple[str, ...]
