@@ -18,7 +18,8 @@ import struct
 import subprocess
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from slave.drivers.cia402 import driver  # noqa: F401 - so that forks have it
 from slave.drivers.cia402.config import BusConfig, Cia402Config
 from slave.drivers.connection import DriverProcess, start_process
 from slave.drivers.driver import Channels, DriverFault
-from studies.kernel.init import run
+from studies.kernel.init import run, try_check
 from studies.kernel.judge import WrongError
 from studies.rigs.bench import BUS, Model
 from teleop.config.loading import as_tree
@@ -99,23 +100,9 @@ def _try_all(say: Callable[..., None]) -> None:
         while left:  # after a failure with drives that know nothing of it
             with Model("cia402", drives, "springs", realtime=False) as model:
                 bench = Bench(model, drives)
-                while left and _passes(left.pop(0), bench, say):
+                name = f"can, {drives} drives"
+                while left and try_check(say, name, left.pop(0), bench):
                     connection.start_process = Fork
-
-
-def _passes(check: "Callable[[Bench], Figures]", bench: "Bench", say: Callable[..., None]) -> bool:
-    name = f"can, {len(bench.numbers)} drives"
-    try:
-        figures = check(bench)
-    except (WrongError, DriverFault) as error:
-        say(device=name, check=check.__name__, trouble=str(error))
-    except Exception as error:  # whatever it is, the other trials still run
-        traceback.print_exc()
-        say(device=name, check=check.__name__, trouble=repr(error))
-    else:
-        say(device=name, check=check.__name__, figures=figures)
-        return True
-    return False
 
 
 class Fork:
@@ -162,6 +149,15 @@ class Bench:
 
     def opened(self, error_control: str = "heartbeat") -> DriverProcess:
         return DriverProcess(self.config(error_control), Channels(self.numbers, self.numbers))
+
+    @contextmanager
+    def driving(self, error_control: str = "heartbeat") -> Iterator[tuple]:
+        """Open the drives and engage them; give the driver and the target [counts]."""
+        connection = self.opened(error_control)
+        try:
+            yield connection, self.engage(connection)
+        finally:
+            connection.close()
 
     def position(self, connection: DriverProcess):
         """Return where the motors are [counts], as the driver says."""
@@ -240,9 +236,8 @@ class Bench:
 
 def follow(bench: Bench) -> Figures:
     """Drives follow from where they are; every reading comes."""
-    connection = bench.opened()
-    try:
-        goal = bench.engage(connection) + STEP
+    with bench.driving() as (connection, start):
+        goal = start + STEP
         bench.until(
             connection,
             lambda: np.allclose(bench.position(connection), goal, atol=2.0),
@@ -251,8 +246,6 @@ def follow(bench: Bench) -> Figures:
         )
         began_s = time.monotonic()
         rate_hz = bench.hold(connection, goal, FOLLOW_S) / (time.monotonic() - began_s)
-    finally:
-        connection.close()
     if rate_hz < RATE_MIN * RATE_HZ:
         raise WrongError(f"{rate_hz:.1f} Hz of {RATE_HZ:g}")
     lost = connection.counts["lost_cycles"]
@@ -261,28 +254,20 @@ def follow(bench: Bench) -> Figures:
 
 def emergency_stop(bench: Bench) -> Figures:
     """Quick stop, and enabled again by the next target."""
-    connection = bench.opened()
-    try:
-        target = bench.engage(connection)
+    with bench.driving() as (connection, target):
         began_s = time.monotonic()
         connection.stop()
         took = bench.stopped_after(began_s)
         bench.until(connection, bench.all_move, "the drives are not enabled again", target)
-    finally:
-        connection.close()
     return {"stopped after": took}
 
 
 def killed(bench: Bench, error_control: str = "heartbeat") -> Figures:
     """Kill the driver: the drives miss our heartbeat and stop."""
-    connection = bench.opened(error_control)
-    try:
-        bench.engage(connection)
+    with bench.driving(error_control) as (connection, _):
         killed_s = time.monotonic()
         os.kill(connection.pid, signal.SIGKILL)
         took = bench.stopped_after(killed_s)
-    finally:
-        connection.close()
     bench.engages_anew()
     return {"stopped after": took}
 
@@ -294,13 +279,9 @@ def killed_while_guarded(bench: Bench) -> Figures:
 
 def fault(bench: Bench) -> Figures:
     """A drive's fault is named, refused at the next start, and reset by the operator alone."""
-    connection = bench.opened()
-    try:
-        target = bench.engage(connection)
+    with bench.driving() as (connection, target):
         bench.model.order("fault")
         said = bench.fails(connection, target, "following error")
-    finally:
-        connection.close()
     try:
         bench.opened().close()
     except DriverFault as error:
@@ -315,13 +296,11 @@ def fault(bench: Bench) -> Figures:
 
 def silent(bench: Bench) -> Figures:
     """Drives without power on the bus side are named."""
-    connection = bench.opened()
     try:
-        target = bench.engage(connection)
-        bench.model.order("unplug")
-        said = bench.fails(connection, target, "silent")
+        with bench.driving() as (connection, target):
+            bench.model.order("unplug")
+            said = bench.fails(connection, target, "silent")
     finally:
-        connection.close()
         bench.model.order("plug")
     bench.engages_anew()
     return {"fault": said}
@@ -329,28 +308,22 @@ def silent(bench: Bench) -> Figures:
 
 def bus_off(bench: Bench) -> Figures:
     """The controller's error frame is a fault with its reason."""
-    connection = bench.opened()
-    try:
-        target = bench.engage(connection)
+    with bench.driving() as (connection, target):
         send_bus_off(CHANNEL)
         said = bench.fails(connection, target, "bus off")
-    finally:
-        connection.close()
     bench.engages_anew()
     return {"fault": said}
 
 
 def interface_down(bench: Bench) -> Figures:
     """An interface that is set down is a fault, and the drives stop by themselves."""
-    connection = bench.opened()
     try:
-        target = bench.engage(connection)
-        began_s = time.monotonic()
-        switch_interface(CHANNEL, up=False)
-        said = bench.fails(connection, target, "interface is down", "silent")
-        took = bench.stopped_after(began_s)
+        with bench.driving() as (connection, target):
+            began_s = time.monotonic()
+            switch_interface(CHANNEL, up=False)
+            said = bench.fails(connection, target, "interface is down", "silent")
+            took = bench.stopped_after(began_s)
     finally:
-        connection.close()
         switch_interface(CHANNEL, up=True)
     return {"fault": said, "stopped after": took}
 

@@ -12,9 +12,8 @@ import os
 import signal
 import statistics
 import time
-import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from itertools import pairwise
 from pathlib import Path
 
@@ -31,7 +30,7 @@ from master.devices.hid.pid import PidConfig
 from master.devices.hid.search import FoundDevice
 from studies.hid.virtual.device import VirtualDevice
 from studies.kernel.cases import CASES, Case, Shares
-from studies.kernel.init import run, words
+from studies.kernel.init import run, try_check, words
 from studies.kernel.judge import Sent, WrongError, echoes, quantiles, reports_lost
 from studies.kernel.plugged import Plugged
 from teleop.runtime.clock import Grid, pause_garbage_collection
@@ -120,12 +119,9 @@ def centring(case: Case, rig: Plugged) -> Figures:
     """Its own spring ends when it is opened, and stays away: a moving hand feels nothing."""
     _wait(lambda: any(rig.pushes()[-1].force), "it does not centre by itself")
     for start in ("first", "second"):
-        hid = _open(case)
-        opened = time.monotonic()
-        try:
+        with _opened(case) as hid:
+            opened = time.monotonic()
             _read(hid, 10 * _SETTLE_S)
-        finally:
-            hid.close()
         time.sleep(_SETTLE_S)
         if any(any(push.force) for push in rig.pushes() if push.time > opened):
             raise WrongError(f"it pushed by itself after its {start} start")
@@ -134,8 +130,7 @@ def centring(case: Case, rig: Plugged) -> Figures:
 
 def actuators(case: Case, rig: Plugged) -> Figures:
     """Power that goes is a fault with that reason; back, it is read again and pushes nothing."""
-    hid = _open(case)
-    try:
+    with _opened(case) as hid:
         rig.power(on=True)  # reported: what was never met does not count
         _drive(hid, case, 0.2)
         rig.power(on=False)
@@ -148,8 +143,6 @@ def actuators(case: Case, rig: Plugged) -> Figures:
             raise WrongError("it pushed by itself when its power was back")
         _until(hid, fails=False)  # what came in while nobody read is lost
         _read(hid, _SETTLE_S)
-    finally:
-        hid.close()
     _silent(rig)
     return {"fault": "no power", "back after": _ms(back)}
 
@@ -229,9 +222,8 @@ def device(case: Case, rig: Plugged) -> Figures:
     """The same through `HidDevice`: in metres and newtons, with a thread of its own that writes."""
     sent: list[Sent] = []
     read: list[Shares] = []
-    hid = _open(case)
-    before = len(rig.pushes())
-    try:
+    with _opened(case) as hid:
+        before = len(rig.pushes())
         grid = Grid(RATE_HZ, stop=lambda: len(sent) >= READS_BY_DEVICE)
         with pause_garbage_collection():
             for tick in grid:
@@ -241,8 +233,6 @@ def device(case: Case, rig: Plugged) -> Figures:
                 hid.write(_newtons(case, sent[-1].force))
         time.sleep(2 * POST_TIMEOUT_S)
         pushes = rig.pushes()[before:]
-    finally:
-        hid.close()
     reports_lost(case, [now for last, now in pairwise(read) if now != last])
     figures = {"rate": f"{grid.stats.rate_hz:.0f} Hz"}
     if case.forces:
@@ -259,8 +249,7 @@ def device(case: Case, rig: Plugged) -> Figures:
 
 def replug(case: Case, rig: Plugged) -> Figures:
     """Pulled out, it is missed at once; put in again, it is read again, and pushes nothing."""
-    hid = _open(case)
-    try:
+    with _opened(case) as hid:
         _drive(hid, case, 0.1)
         out = rig.unplug()
         missed = _until(hid, fails=True) - out
@@ -276,8 +265,6 @@ def replug(case: Case, rig: Plugged) -> Figures:
             hid.write(_newtons(case, case.force(1)))
             time.sleep(_SETTLE_S / 2)
             _demand(any(rig.pushes()[-1].force), figures, "no force after it was back")
-    finally:
-        hid.close()
     _demand(missed < UNPLUGGED_MAX_S, figures, "unplugging was seen too late")
     _silent(rig)
     return figures
@@ -316,11 +303,11 @@ def checks_for(case: Case) -> tuple[Check, ...]:
 
 
 def _push_for_ever(case: Case) -> None:
-    hid = _open(case)
     force = _newtons(case, case.force(1))
-    for tick in Grid(RATE_HZ, stop=lambda: False):
-        hid.read(tick.index / RATE_HZ)
-        hid.write(force)
+    with _opened(case) as hid:
+        for tick in Grid(RATE_HZ, stop=lambda: False):
+            hid.read(tick.index / RATE_HZ)
+            hid.write(force)
 
 
 def _search(case: Case) -> FoundDevice:
@@ -339,19 +326,17 @@ def _search(case: Case) -> FoundDevice:
 @contextmanager
 def _node(case: Case) -> Iterator[Node]:
     chosen = _search(case)
-    node = Node(chosen.item.path, str(chosen.item))
-    try:
+    with closing(Node(chosen.item.path, str(chosen.item))) as node:
         yield node
-    finally:
-        node.close()
 
 
-def _open(case: Case) -> HidDevice:
+def _opened(case: Case) -> closing[HidDevice]:
     axes = tuple(
         AxisConfig(name=name, travel=TRAVEL_M, force=FULL_N if name in case.forces else 0.0)
         for name in case.inputs
     )
-    return HidDevice(HidConfig(find=_search(case).item.model, axes=axes), say=lambda _line: None)
+    config = HidConfig(find=_search(case).item.model, axes=axes)
+    return closing(HidDevice(config, say=lambda _line: None))
 
 
 def _newtons(case: Case, force: Shares) -> Shares:
@@ -445,12 +430,4 @@ def _try(case: Case, say: Callable[..., None]) -> None:
     case.hand(0)
     with Plugged(case.device(), hand) as rig:
         for check in checks_for(case):
-            try:
-                figures = check(case, rig)
-            except WrongError as error:
-                say(device=case.name, check=check.__name__, trouble=str(error))
-            except Exception as error:  # whatever it is, the other trials still run
-                traceback.print_exc()
-                say(device=case.name, check=check.__name__, trouble=repr(error))
-            else:
-                say(device=case.name, check=check.__name__, figures=figures)
+            try_check(say, case.name, check, case, rig)

@@ -12,9 +12,11 @@ import traceback
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
+from slave.drivers.driver import DriverFault
 from studies.kernel.image import MODULES
+from studies.kernel.judge import WrongError
 
 _RESTART = 0x01234567
 _FINIT_MODULE = 313  # of x86-64
@@ -37,6 +39,21 @@ def run(checks: Callable[[Callable[..., None]], None]) -> None:
         sys.stdout.flush()
         os.sync()
         _LIBC.reboot(_RESTART)
+
+
+def try_check(say: Callable[..., None], device: str, check: Callable[..., Any], *what: Any) -> bool:
+    """Run one check on a device, and say its figures or its trouble; return whether it passed."""
+    try:
+        figures = check(*what)
+    except (WrongError, DriverFault) as error:
+        said = {"trouble": str(error)}
+    except Exception as error:  # whatever it is, the other checks still run
+        traceback.print_exc()
+        said = {"trouble": repr(error)}
+    else:
+        said = {"figures": figures}
+    say(device=device, check=check.__name__, **said)
+    return "figures" in said
 
 
 def words(name: str) -> list[str]:
