@@ -205,8 +205,8 @@ def _conclude(
         friction = math.log((pull - 1.0) / (release - 1.0))
         stretch = (pull - 1.0) * friction / math.expm1(friction)
     return TravelDiagnosis(
-        verdict, tuple(stages), tuple(others), tuple(search.records), *lost, gain, friction,
-        stretch, missed, search.noise, fraction,
+        verdict, tuple(stages), tuple(others), tuple(search.records), lost[0], lost[1], gain,
+        friction, stretch, missed, search.noise, fraction,
     )  # fmt: skip
 
 
