@@ -18,9 +18,9 @@ from estimator.array_types import Array
 from estimator.drawing import STYLE
 from studies.transparency import zwidth
 from studies.transparency.hand import DT
-from studies.transparency.rig import TENDON, Rig, wall
+from studies.transparency.rig import TENDON, Rig, build_wall
 from studies.transparency.study import CONTACT, FRICTION, HANDS, PRETENSION, SPRING, Study
-from studies.transparency.system import Network, Teleoperator, rig_model, settings
+from studies.transparency.system import Network, Teleoperator, build_rig_model, build_settings
 from teleop.coupling import Bilateral
 from teleop.runtime.parallel import count_processors, map_in_parallel
 
@@ -71,18 +71,19 @@ def stiffest(cell: Cell) -> float:
     device = replace(STUDY.device, damping=cell.damping)
 
     def stable(stiffness: float) -> bool:
-        rig = Rig(wall(stiffness, CONTACT), SPRING, PRETENSION)
+        rig = Rig(build_wall(stiffness, CONTACT), SPRING, PRETENSION)
         rig.lag = cell.lag
         system = Teleoperator(
             Bilateral(coupling=STUDY.coupling(cell.coupling)),
             rig,
             Network(),
-            settings(STUDY.force_scale, STUDY.position_scale, Network()),
-            rig_model(FRICTION),
+            build_settings(STUDY.force_scale, STUDY.position_scale, Network()),
+            build_rig_model(FRICTION),
         )
-        return zwidth.settles(zwidth.push(system, HAND, device, CONTACT / STUDY.position_scale))
+        record = zwidth.push_wall(system, HAND, device, CONTACT / STUDY.position_scale)
+        return zwidth.has_settled(record)
 
-    width = zwidth.largest(stable, STUDY.lowest, STUDY.cap, 10.0, 1.1)
+    width = zwidth.find_largest_width(stable, STUDY.lowest, STUDY.cap, 10.0, 1.1)
     return math.inf if math.isinf(width.unstable) else SCALES * width.stable
 
 

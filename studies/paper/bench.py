@@ -52,7 +52,7 @@ class Specimen:
     @property
     def K(self) -> float:  # noqa: N802 (the paper's symbol)
         """Friction coordinate of the tip, mu times the bend angle: the paper's eq. (4)."""
-        return self.sheath.friction * bend_angle(self.sheath.sections)
+        return self.sheath.friction * compute_bend_angle(self.sheath.sections)
 
     @property
     def length(self) -> float:
@@ -73,29 +73,29 @@ class Specimen:
         return f"sheath {self.number}: {self.describe()}"
 
 
-def random_sheaths(count: int, seed: int) -> tuple[Specimen, ...]:
+def draw_sheaths(count: int, seed: int) -> tuple[Specimen, ...]:
     """Return `count` sheaths, K spread evenly from 0.4 to 1.8, a quarter of each kind.
 
     Lengths, radii, stiffness and friction are drawn until mu times the bend angle is the K wanted
     with a mu that steel in a coil can have.
     """
     order = np.random.default_rng(seed).permutation(count)
-    return tuple(_draw(i, order[i], count, seed) for i in range(count))
+    return tuple(_draw_specimen(i, order[i], count, seed) for i in range(count))
 
 
-def bend_angle(sections: Sections) -> float:
+def compute_bend_angle(sections: Sections) -> float:
     """Return the angle all bends add up to [rad]."""
     return math.fsum(section.length / section.radius for section in sections)
 
 
-def _draw(index: int, stratum: int, count: int, seed: int) -> Specimen:
+def _draw_specimen(index: int, stratum: int, count: int, seed: int) -> Specimen:
     random = np.random.default_rng((seed, index))
     K = LEAST_K + (LARGEST_K - LEAST_K) * (stratum + random.uniform()) / count
     kind = tuple(KINDS)[index % len(KINDS)]
     while True:
         length = random.uniform(*LENGTHS)
         sections = KINDS[kind](random, length)
-        bend = bend_angle(sections)
+        bend = compute_bend_angle(sections)
         if bend > 0.0 and FRICTIONS[0] <= K / bend <= FRICTIONS[1]:
             break
     friction = K / bend
@@ -110,38 +110,38 @@ def _draw(index: int, stratum: int, count: int, seed: int) -> Specimen:
     return Specimen(index + 1, kind, sheath, random.uniform(*NOISES))
 
 
-def _uniform(random: np.random.Generator, length: float) -> Sections:
-    return (SectionConfig(length, _radius(random)),)
+def _draw_uniform(random: np.random.Generator, length: float) -> Sections:
+    return (SectionConfig(length, _draw_radius(random)),)
 
 
-def _mixed(random: np.random.Generator, length: float) -> Sections:
+def _draw_mixed(random: np.random.Generator, length: float) -> Sections:
     count = int(random.integers(SECTIONS[0], SECTIONS[1], endpoint=True))
     shares = LEAST_SHARE + (1.0 - LEAST_SHARE * count) * random.dirichlet(np.ones(count))
     return tuple(
-        SectionConfig(length * float(share), _radius(random))
+        SectionConfig(length * float(share), _draw_radius(random))
         if random.uniform() >= STRAIGHT
         else SectionConfig(length * float(share))
         for share in shares
     )
 
 
-def _tightest_first(random: np.random.Generator, length: float) -> Sections:
-    return tuple(sorted(_mixed(random, length), key=lambda section: section.radius))
+def _draw_tightest_first(random: np.random.Generator, length: float) -> Sections:
+    return tuple(sorted(_draw_mixed(random, length), key=lambda section: section.radius))
 
 
-def _tightest_last(random: np.random.Generator, length: float) -> Sections:
-    return _tightest_first(random, length)[::-1]
+def _draw_tightest_last(random: np.random.Generator, length: float) -> Sections:
+    return _draw_tightest_first(random, length)[::-1]
 
 
-def _radius(random: np.random.Generator) -> float:
+def _draw_radius(random: np.random.Generator) -> float:
     return float(np.exp(random.uniform(*np.log(RADII))))
 
 
 KINDS: dict[str, Callable[[np.random.Generator, float], Sections]] = {
-    "uniform": _uniform,
-    "bends at the motor": _tightest_first,
-    "bends at the tip": _tightest_last,
-    "bends anywhere": _mixed,
+    "uniform": _draw_uniform,
+    "bends at the motor": _draw_tightest_first,
+    "bends at the tip": _draw_tightest_last,
+    "bends anywhere": _draw_mixed,
 }
 
 PERIOD = 0.001  # [s] of the plant and of every sensor
@@ -157,7 +157,7 @@ BODY = BodyConfig(
 )
 
 
-def build(specimen: Specimen, seed: int, loaded: bool) -> SimulatedRig:
+def build_bench(specimen: Specimen, seed: int, loaded: bool) -> SimulatedRig:
     """Return the bench at rest in the middle of its travel; noise of the sensors by `seed`."""
     cell = LoadCellConfig(noise=specimen.tension_noise)
     tendon = TendonPlantConfig(sheath=specimen.sheath, load_cell=cell)
@@ -168,7 +168,7 @@ def build(specimen: Specimen, seed: int, loaded: bool) -> SimulatedRig:
     )
 
 
-def stretch_at_rest(specimen: Specimen) -> float:
+def compute_rest_stretch(specimen: Specimen) -> float:
     """Return the elongation [m] of a tendon while the bench is at rest."""
     return PRETENSION * specimen.length / specimen.sheath.axial_stiffness
 
@@ -204,7 +204,7 @@ class BenchRun(NamedTuple):
     elongation: Array  # [m] true, of a tendon without tension 0
 
 
-def perform(rig: Rig, turns: tuple[float, ...], stretch: float) -> BenchRun:
+def perform_motion(rig: Rig, turns: tuple[float, ...], stretch: float) -> BenchRun:
     """Move a bench that rests through `turns` [N] at the housing.
 
     `stretch` [m] is the elongation of its tendons at rest, from where displacements count.
@@ -227,7 +227,7 @@ def perform(rig: Rig, turns: tuple[float, ...], stretch: float) -> BenchRun:
         seen = MotionSample(sample.time_s, float(sample.proximal_tension[0]), PERIOD)
         target, memory = motion.step(memory, seen)
         if memory.leg == len(turns):
-            return _record(samples, legs, stretch)
+            return _build_run(samples, legs, stretch)
         sample = bench.move(target)
         samples.append(sample)
         legs.append(memory.leg)
@@ -258,7 +258,7 @@ class _MotorPair:
         return sample
 
 
-def _record(samples: list[RigSample], legs: list[int], stretch: float) -> BenchRun:
+def _build_run(samples: list[RigSample], legs: list[int], stretch: float) -> BenchRun:
     def of_a(name: str) -> Array:
         return np.array([getattr(sample, name)[0] for sample in samples])
 

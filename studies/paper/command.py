@@ -14,9 +14,16 @@ import argparse
 from pathlib import Path
 
 from studies.paper import report
-from studies.paper.bench import Specimen, random_sheaths
+from studies.paper.bench import Specimen, draw_sheaths
 from studies.paper.methods import METHODS, OURS
-from studies.paper.study import SPECIMEN, Demonstration, Outcome, demonstrate, experiment, judge
+from studies.paper.study import (
+    SPECIMEN,
+    Demonstration,
+    Outcome,
+    demonstrate_specimen,
+    judge_session,
+    run_experiment,
+)
 from teleop.cli.html_page import Page
 from teleop.config.options import add_option, add_options
 from teleop.errors import UsageError
@@ -55,10 +62,10 @@ def main(args: argparse.Namespace) -> int:
             raise UsageError(f"--{name} {getattr(args, name)}: must be {least} to {most}")
     if args.out is not None:
         make_folder(args.out, "index.html")
-    shown, outcomes = run(args.sheaths, args.seed, args.jobs)
-    tables = text(shown, outcomes, args.seed)
+    shown, outcomes = run_experiments(args.sheaths, args.seed, args.jobs)
+    tables = format_tables(shown, outcomes, args.seed)
     print(tables)
-    tree = report.tree(shown.outcome, outcomes, args.seed)
+    tree = report.build_tree(shown.outcome, outcomes, args.seed)
     write_summary(args.json, tree)
     if args.out is not None:
         write_summary(args.out / "table.json", tree)
@@ -67,59 +74,63 @@ def main(args: argparse.Namespace) -> int:
         if args.figures:
             from studies.paper import figures
 
-            captions = figures.draw(shown, outcomes, args.out)
-        page = page_of(shown, outcomes, args.seed, args.out, captions)
+            captions = figures.write_figures(shown, outcomes, args.out)
+        page = build_page(shown, outcomes, args.seed, args.out, captions)
         write_text_file(args.out / "index.html", page, "the page")
         print(f"\nwritten: {args.out / 'index.html'}")
     return 0
 
 
-def run(sheaths: int, seed: int, jobs: int) -> tuple[Demonstration, list[Outcome]]:
+def run_experiments(sheaths: int, seed: int, jobs: int) -> tuple[Demonstration, list[Outcome]]:
     """Return the sheath of the figures in full, and how the random ones came out."""
-    tasks = [(specimen, seed) for specimen in (None, *random_sheaths(sheaths, seed))]
+    tasks = [(specimen, seed) for specimen in (None, *draw_sheaths(sheaths, seed))]
     done: list[Demonstration | Outcome] = []
     with Progress() as progress:
-        for result in map_in_parallel(_one, tasks, jobs):
+        for result in map_in_parallel(_run_task, tasks, jobs):
             done.append(result)
             progress("sheaths", len(done) / len(tasks))
     (shown,) = (one for one in done if isinstance(one, Demonstration))
     return shown, [one for one in done if isinstance(one, Outcome)]
 
 
-def text(shown: Demonstration, outcomes: list[Outcome], seed: int) -> str:
+def format_tables(shown: Demonstration, outcomes: list[Outcome], seed: int) -> str:
     """Return all tables as Markdown."""
-    parts = [f"# {TITLE}", report.summary(outcomes), UNITS]
+    parts = [f"# {TITLE}", report.format_summary(outcomes), UNITS]
     parts += [f"## A sheath as the paper's: {SPECIMEN.describe()}"]
-    parts += ["Largest / average.", report.by_phase(shown.outcome).to_markdown()]
+    parts += ["Largest / average.", report.build_phase_table(shown.outcome).to_markdown()]
     parts += [f"## {len(outcomes)} random sheaths, seed {seed}"]
-    parts += [report.over_sheaths(outcomes).to_markdown()]
+    parts += [report.build_spread_table(outcomes).to_markdown()]
     for method in METHODS:
-        worst = "\n".join(f"- {line}" for line in report.worst(outcomes, method, seed))
+        worst = "\n".join(f"- {line}" for line in report.list_worst_sheaths(outcomes, method, seed))
         parts += [f"### Worst of {method}, by the largest error of force", worst]
     return "\n\n".join(parts)
 
 
-def page_of(
+def build_page(
     shown: Demonstration, outcomes: list[Outcome], seed: int, folder: Path, captions: dict[str, str]
 ) -> str:
     """Return the page; the figures, by file name in `folder`, have captions."""
     page = Page(TITLE)
-    page.add_text(report.summary(outcomes))
+    page.add_text(report.format_summary(outcomes))
     page.add_text(UNITS)
     page.add_heading(f"A sheath as the paper's: {SPECIMEN.describe()}")
     page.add_text("Largest / average.")
-    page.add_table(report.by_phase(shown.outcome), mark="")
+    page.add_table(report.build_phase_table(shown.outcome), mark="")
     page.add_heading(f"{len(outcomes)} random sheaths, seed {seed}")
-    page.add_table(report.over_sheaths(outcomes), mark=OURS)
+    page.add_table(report.build_spread_table(outcomes), mark=OURS)
     for method in METHODS:
         page.add_text(f"Worst of {method}, by the largest error of force:")
-        page.add_points(report.worst(outcomes, method, seed))
+        page.add_points(report.list_worst_sheaths(outcomes, method, seed))
     page.add_heading("Figures")
     for file, caption in captions.items():
         page.add_figure(folder / file, caption)
     return page.render()
 
 
-def _one(task: tuple[Specimen | None, int]) -> Demonstration | Outcome:
+def _run_task(task: tuple[Specimen | None, int]) -> Demonstration | Outcome:
     specimen, seed = task
-    return demonstrate(seed) if specimen is None else judge(experiment(specimen, seed))
+    return (
+        demonstrate_specimen(seed)
+        if specimen is None
+        else judge_session(run_experiment(specimen, seed))
+    )

@@ -23,7 +23,7 @@ from studies.paper.study import (
     TARGETS,
     Demonstration,
     Outcome,
-    values,
+    collect_errors,
 )
 from teleop.runtime.output_file import save_figure
 
@@ -35,29 +35,29 @@ SHADES = ("#ffffff", "#eaf3f9", "#ffffff", "#eaf3f9", "#ffffff")  # of the phase
 AXIS_MIN, AXIS_MAX = 1e-3, 30.0  # full scales that the distribution shows
 
 
-def draw(shown: Demonstration, outcomes: list[Outcome], folder: Path) -> dict[str, str]:
+def write_figures(shown: Demonstration, outcomes: list[Outcome], folder: Path) -> dict[str, str]:
     """Write all figures into `folder`; return what to say below each, by file name."""
     captions = {}
     with mpl.rc_context(STYLE):
-        for name, (figure, caption) in _figures(shown, outcomes):
+        for name, (figure, caption) in _draw_figures(shown, outcomes):
             file = f"experiment-{name}.png"
             save_figure(figure, folder / file)
             captions[file] = caption
     return captions
 
 
-def _figures(
+def _draw_figures(
     shown: Demonstration, outcomes: list[Outcome]
 ) -> Iterator[tuple[str, tuple[Figure, str]]]:
-    yield "distribution-along", along_the_sheath(shown)
-    yield "initialisation", initialisation(shown)
-    yield "tensions", tensions(shown)
-    yield "phases", phases(shown)
-    yield "sheaths", over_sheaths(outcomes)
-    yield "unevenness", against_unevenness(outcomes)
+    yield "distribution-along", draw_distributions(shown)
+    yield "initialisation", draw_initialisation(shown)
+    yield "tensions", draw_tensions(shown)
+    yield "phases", draw_phases(shown)
+    yield "sheaths", draw_sheath_shares(outcomes)
+    yield "unevenness", draw_unevenness(outcomes)
 
 
-def along_the_sheath(shown: Demonstration) -> tuple[Figure, str]:
+def draw_distributions(shown: Demonstration) -> tuple[Figure, str]:
     """Draw figure 4: the tension along the sheath while the housing lets go."""
     figure = Figure(figsize=(6.4, 4.0))
     axes = figure.add_subplot()
@@ -96,7 +96,7 @@ def along_the_sheath(shown: Demonstration) -> tuple[Figure, str]:
     )
 
 
-def initialisation(shown: Demonstration) -> tuple[Figure, str]:
+def draw_initialisation(shown: Demonstration) -> tuple[Figure, str]:
     """Draw figure 6: what both load cells read while one motor pulls against the stop."""
     figure = Figure(figsize=(6.4, 4.0))
     axes = figure.add_subplot()
@@ -132,7 +132,7 @@ def initialisation(shown: Demonstration) -> tuple[Figure, str]:
     )
 
 
-def tensions(shown: Demonstration) -> tuple[Figure, str]:
+def draw_tensions(shown: Demonstration) -> tuple[Figure, str]:
     """Draw figure 7: the tensions at both ends."""
     figure = Figure(figsize=(6.4, 3.4))
     axes = figure.add_subplot()
@@ -155,11 +155,11 @@ def tensions(shown: Demonstration) -> tuple[Figure, str]:
     )
 
 
-def phases(shown: Demonstration) -> tuple[Figure, str]:
+def draw_phases(shown: Demonstration) -> tuple[Figure, str]:
     """Draw figure 8: predicted and actual, leg by leg, for force and elongation."""
     figure = Figure(figsize=(7.6, 7.2))
     record = shown.session.records[PROFILE]
-    counts = study.taut(record.tension)
+    counts = study.select_taut(record.tension)
     names = ("first profile: pull", "second: release", "third: pull again")
     grid = figure.subplots(3, 2)
     for leg, (row, name) in enumerate(zip(grid, names, strict=True)):
@@ -190,7 +190,7 @@ def phases(shown: Demonstration) -> tuple[Figure, str]:
     )
 
 
-def over_sheaths(outcomes: list[Outcome]) -> tuple[Figure, str]:
+def draw_sheath_shares(outcomes: list[Outcome]) -> tuple[Figure, str]:
     """Draw the share of the sheaths on which an error is at most so large."""
     figure = Figure(figsize=(7.6, 5.6))
     grid = figure.subplots(2, 2, sharey=True)
@@ -199,9 +199,9 @@ def over_sheaths(outcomes: list[Outcome]) -> tuple[Figure, str]:
             which = 0 if item == "largest" else 1
             for method in METHODS:
                 for motion, width in ((PROFILE, 1.8), (NESTED, 0.8)):
-                    _staircase(axes, outcomes, method, motion, signal, item, width)
-            _line(axes, PUBLISHED[signal][which], "the paper's one trial", BLACK, "dotted")
-            _line(axes, TARGETS[signal][which], "asked of ours", BLUE, "dashed")
+                    _draw_staircase(axes, outcomes, method, motion, signal, item, width)
+            _draw_line(axes, PUBLISHED[signal][which], "the paper's one trial", BLACK, "dotted")
+            _draw_line(axes, TARGETS[signal][which], "asked of ours", BLUE, "dashed")
             axes.set_xscale("log")
             axes.set(
                 xlim=(100.0 * AXIS_MIN, 100.0 * AXIS_MAX),
@@ -219,7 +219,7 @@ def over_sheaths(outcomes: list[Outcome]) -> tuple[Figure, str]:
     )
 
 
-def against_unevenness(outcomes: list[Outcome]) -> tuple[Figure, str]:
+def draw_unevenness(outcomes: list[Outcome]) -> tuple[Figure, str]:
     """Draw where the paper's calibration fails: K against how uneven the curvature is."""
     figure = Figure(figsize=(7.6, 3.6))
     left, right = figure.subplots(1, 2)
@@ -227,7 +227,7 @@ def against_unevenness(outcomes: list[Outcome]) -> tuple[Figure, str]:
         held = [o for o in outcomes if o.results[method].scores]
         x = [o.unevenness for o in held]
         off = [o.results[method].K / o.specimen.K - 1.0 for o in held]
-        error = 100.0 * values(held, method, PROFILE, "force", "largest")
+        error = 100.0 * collect_errors(held, method, PROFILE, "force", "largest")
         style = {"color": COLOURS[method], "alpha": 0.8, "label": method}
         left.plot(x, 100.0 * np.array(off), MARKS[method], markersize=4, **style)
         right.plot(x, error, MARKS[method], markersize=4, **style)
@@ -245,7 +245,7 @@ def against_unevenness(outcomes: list[Outcome]) -> tuple[Figure, str]:
 
 def _shade_phases(axes: Axes, shown: Demonstration) -> None:
     record = shown.session.records[PROFILE]
-    label = study.phases(record.leg, record.tension, record.distal_tension)
+    label = study.label_phases(record.leg, record.tension, record.distal_tension)
     for i, name in enumerate(PHASES):
         times = record.time[label == i]
         if times.size:
@@ -261,7 +261,7 @@ def _shade_phases(axes: Axes, shown: Demonstration) -> None:
             )
 
 
-def _staircase(
+def _draw_staircase(
     axes: Axes,
     outcomes: list[Outcome],
     method: str,
@@ -270,7 +270,7 @@ def _staircase(
     item: str,
     width: float,
 ) -> None:
-    errors = np.sort(values(outcomes, method, motion, signal, item))
+    errors = np.sort(collect_errors(outcomes, method, motion, signal, item))
     share = np.arange(1, len(errors) + 1) / len(errors)
     kept = np.isfinite(errors)
     x = np.concatenate([[AXIS_MIN], errors[kept], [AXIS_MAX]])
@@ -286,5 +286,5 @@ def _staircase(
     )
 
 
-def _line(axes: Axes, share: float, label: str, colour: str, style: str) -> None:
+def _draw_line(axes: Axes, share: float, label: str, colour: str, style: str) -> None:
     axes.axvline(100.0 * share, color=colour, linestyle=style, linewidth=1.0, label=label)

@@ -13,7 +13,7 @@ gets the length, on which neither of its outputs depends.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -30,10 +30,12 @@ from slave.calibration.tendon_identification import PulledTendon
 from slave.gate import GateConfig
 from slave.tendon_config import TendonConfig
 from studies.paper import paper_method
-from studies.paper.bench import LOOSE, PERIOD, BenchRun, Specimen, build
+from studies.paper.bench import LOOSE, PERIOD, BenchRun, Specimen, build_bench
 
 PAPER, PAPER_AT_BEST, OURS = "paper", "paper at its best", "ours"
 METHODS = (PAPER, PAPER_AT_BEST, OURS)
+
+T = TypeVar("T")
 
 GATE = GateConfig(displacement_min=-0.05, displacement_max=0.05, tension_max=30.0)
 READ_OVER = 0.02  # [s] before the pull ends, over which T_in and e_out are read
@@ -80,6 +82,13 @@ class FittedMethod(NamedTuple):
     estimate: Callable[[BenchRun], Estimates]
 
 
+def require(result: T | CalibrationRefused) -> T:
+    """Return a result, or raise the refusal that stands in its place."""
+    if isinstance(result, CalibrationRefused):
+        raise result
+    return result
+
+
 def initialise(specimen: Specimen, seed: int) -> Initialisation:
     """Run the paper's initialisation on the bench, its joint free.
 
@@ -90,7 +99,7 @@ def initialise(specimen: Specimen, seed: int) -> Initialisation:
     """
     known = KnownSheathConfig(specimen.length)
     config = InitialiseConfig(sheaths=(known,), keep=LOOSE)
-    rig = build(specimen, seed, loaded=False)
+    rig = build_bench(specimen, seed, loaded=False)
     limits = initialisation.ProcedureLimits(config, GATE)
     driven = initialisation.run_procedure(
         rig, limits, initialisation.generate_fast_ticks(1.0 / PERIOD), 0, [0]
@@ -116,13 +125,15 @@ def fit_method(method: str, specimen: Specimen, initialised: Initialisation) -> 
         If the paper's (13) has no solution.
     """
     if method == OURS:
-        return _ours(initialised.ours)
+        return _fit_ours(require(initialised.ours))
     read, at_best = initialised.paper, method == PAPER_AT_BEST
     M_e = read.slope if at_best else read.elongation / read.tension
-    model = paper_method.initialise(M_e, specimen.length, specimen.sheath.axial_stiffness)
+    model = paper_method.build_model(M_e, specimen.length, specimen.sheath.axial_stiffness)
 
     def estimate(record: BenchRun) -> Estimates:
-        found = paper_method.run(model, record.time, record.tension, read.noise, continued=at_best)
+        found = paper_method.run_method(
+            model, record.time, record.tension, read.noise, continued=at_best
+        )
         return Estimates(found.distal_tension, found.elongation)
 
     return FittedMethod(model.K, estimate)
@@ -142,9 +153,7 @@ def read_figure(pulled: PulledTendon) -> Figure:
     return Figure(begins, end - begins, peak, float(slope), signals.estimate_noise_sigma(T))
 
 
-def _ours(calibrated: CalibratedMethod | CalibrationRefused) -> FittedMethod:
-    if isinstance(calibrated, CalibrationRefused):
-        raise calibrated
+def _fit_ours(calibrated: CalibratedMethod) -> FittedMethod:
     prepared = online.prepare(calibrated.tendon.build_model())
 
     def estimate(record: BenchRun) -> Estimates:

@@ -77,7 +77,7 @@ class Estimates(NamedTuple):
     phase: NDArray[np.int64]
 
 
-def initialise(M_e: float, length: float, axial_stiffness: float) -> PaperModel:
+def build_model(M_e: float, length: float, axial_stiffness: float) -> PaperModel:
     """Return the model that belongs to an elongation constant M_e [m/N].
 
     Raises
@@ -89,20 +89,20 @@ def initialise(M_e: float, length: float, axial_stiffness: float) -> PaperModel:
     return PaperModel(M_e, K, length, axial_stiffness)
 
 
-def run(
+def run_method(
     model: PaperModel, time: Array, tension: Array, noise: float, continued: bool = False
 ) -> Estimates:
     """Return what the method makes of T_in [N] at `time` [s], with white noise [N] of that sigma.
 
     The record begins with a pull from zero tension.
     """
-    smooth, sigma = _averaged(time, tension, noise)
+    smooth, sigma = _average_tension(time, tension, noise)
     band = max(TURN * sigma, LEAST_TURN)
     memory = MethodState(Phase.PULL, 0.0, 0.0, 0.0, 0.0)
     rows = []
     for T_in in np.maximum(smooth, LEAST_TENSION).tolist():
         memory = advance(model, memory, T_in, band, continued)
-        rows.append((*_read(model, memory, T_in), memory.phase))
+        rows.append((*_read_estimate(model, memory, T_in), memory.phase))
     T_out, e, phase = zip(*rows, strict=True)
     return Estimates(np.array(T_out), np.array(e), np.array(phase, dtype=np.int64))
 
@@ -114,9 +114,9 @@ def advance(
     K = model.K
     rising = memory.phase in (Phase.PULL, Phase.RELEASE_TO_PULL)
     if rising and T_in < memory.extreme - band:
-        memory = _turned(model, memory, Phase.PULL_TO_RELEASE, T_in, continued)
+        memory = _turn_back(model, memory, Phase.PULL_TO_RELEASE, T_in, continued)
     elif not rising and T_in > memory.extreme + band:
-        memory = _turned(model, memory, Phase.RELEASE_TO_PULL, T_in, continued)
+        memory = _turn_back(model, memory, Phase.RELEASE_TO_PULL, T_in, continued)
     else:
         extreme = max(memory.extreme, T_in) if rising else min(memory.extreme, T_in)
         memory = memory._replace(extreme=extreme)
@@ -133,7 +133,7 @@ def advance(
     return memory
 
 
-def _turned(
+def _turn_back(
     model: PaperModel, memory: MethodState, phase: Phase, T_in: float, continued: bool
 ) -> MethodState:
     """Return the memory after a reversal at the last extreme, noticed at T_in [N]."""
@@ -145,12 +145,12 @@ def _turned(
     )
     turned = MethodState(phase, T_in, at, float(hold(at, model.K)), 0.0)
     if continued:
-        T_out, e = _read(model, memory, at)
-        turned = turned._replace(held=T_out, offset=e - _read(model, turned, at)[1])
+        T_out, e = _read_estimate(model, memory, at)
+        turned = turned._replace(held=T_out, offset=e - _read_estimate(model, turned, at)[1])
     return turned
 
 
-def _read(model: PaperModel, memory: MethodState, T_in: float) -> tuple[float, float]:
+def _read_estimate(model: PaperModel, memory: MethodState, T_in: float) -> tuple[float, float]:
     """Return T_out [N] and the elongation [m]."""
     K, M_e, L, EA = model.K, model.M_e, model.length, model.axial_stiffness
     match memory.phase:
@@ -166,7 +166,7 @@ def _read(model: PaperModel, memory: MethodState, T_in: float) -> tuple[float, f
     return memory.held, float(e) + memory.offset
 
 
-def _averaged(time: Array, tension: Array, noise: float) -> tuple[Array, float]:
+def _average_tension(time: Array, tension: Array, noise: float) -> tuple[Array, float]:
     """Return the average of `TIME_CONSTANT` over T_in and the noise that it leaves."""
     steps = np.diff(time, prepend=time[0])
     keep = np.exp(-steps / TIME_CONSTANT).tolist()

@@ -1,6 +1,7 @@
 """The experiment in words and numbers: Markdown tables for people, a tree for programs."""
 
 import math
+from itertools import product
 from typing import Any
 
 from estimator.text_table import Table
@@ -15,8 +16,8 @@ from studies.paper.study import (
     Errors,
     Outcome,
     Spread,
-    spread,
-    values,
+    collect_errors,
+    compute_spread,
 )
 from teleop.cli.html_page import to_json_values
 
@@ -25,11 +26,11 @@ ITEMS = ("largest", "average")
 WORST = 3  # sheaths named
 
 
-def by_phase(outcome: Outcome) -> Table:
+def build_phase_table(outcome: Outcome) -> Table:
     """Return the errors of one sheath on the paper's profile, phase by phase."""
     columns = [(signal, method) for signal in SIGNALS for method in METHODS]
     rows = [
-        (phase, *(_pair(outcome, method, phase, signal) for signal, method in columns))
+        (phase, *(_format_errors(outcome, method, phase, signal) for signal, method in columns))
         for phase in (*PHASES, WHOLE)
     ]
     published = (
@@ -42,30 +43,19 @@ def by_phase(outcome: Outcome) -> Table:
     return Table(("phase", *(f"{signal}, {method}" for signal, method in columns)), tuple(rows))
 
 
-def over_sheaths(outcomes: list[Outcome]) -> Table:
+def build_spread_table(outcomes: list[Outcome]) -> Table:
     """Return how the errors of whole runs are spread over the sheaths."""
     rows = []
-    for item in ITEMS:
-        for signal in SIGNALS:
-            for motion in MOTIONS:
-                for method in METHODS:
-                    found = _spread(outcomes, method, motion, signal, item)
-                    numbers = (found.median, found.ninetieth, found.largest)
-                    rows.append(
-                        (
-                            f"{item} of {signal}",
-                            motion,
-                            method,
-                            *(_percent(number) for number in numbers),
-                            f"{found.within} of {found.sheaths}",
-                            f"{100.0 * _target(signal, item):g}",
-                        )
-                    )
+    for item, signal, motion, method in product(ITEMS, SIGNALS, MOTIONS, METHODS):
+        found = _compute_spread(outcomes, method, motion, signal, item)
+        shares = map(_format_percent, (found.median, found.ninetieth, found.largest))
+        counts = f"{found.within} of {found.sheaths}", f"{100.0 * _get_target(signal, item):g}"
+        rows.append((f"{item} of {signal}", motion, method, *shares, *counts))
     head = ("error", "motion", "method", "median", "90 %", "largest", "within", "asked")
     return Table(head, tuple(rows))
 
 
-def worst(outcomes: list[Outcome], method: str, seed: int) -> list[str]:
+def list_worst_sheaths(outcomes: list[Outcome], method: str, seed: int) -> list[str]:
     """Return the sheaths that a method refused, and those on which its force was furthest off."""
 
     def error(outcome: Outcome) -> float:
@@ -77,15 +67,16 @@ def worst(outcomes: list[Outcome], method: str, seed: int) -> list[str]:
     return [
         *(f"refused: seed {seed}, {o.specimen}: {o.results[method].refusal}" for o in refused),
         *(
-            f"{_percent(error(o))} %: seed {seed}, {o.specimen}; its K {o.results[method].K:.3f}"
+            f"{_format_percent(error(o))} %: seed {seed}, {o.specimen}; "
+            f"its K {o.results[method].K:.3f}"
             for o in used[:WORST]
         ),
     ]
 
 
-def summary(outcomes: list[Outcome]) -> str:
+def format_summary(outcomes: list[Outcome]) -> str:
     """Return in one line on how many sheaths ours is within what is asked, and what that is."""
-    kept = sum(meets(outcome) for outcome in outcomes)
+    kept = sum(meets_targets(outcome) for outcome in outcomes)
     refused = sum(not outcome.results[OURS].scores for outcome in outcomes)
     asked = "; ".join(
         f"{signal}, largest {100.0 * largest:g} %, average {100.0 * average:g} %"
@@ -97,44 +88,41 @@ def summary(outcomes: list[Outcome]) -> str:
     )
 
 
-def meets(outcome: Outcome) -> bool:
+def meets_targets(outcome: Outcome) -> bool:
     """Return whether ours was within every target on a sheath."""
     scores = outcome.results[OURS].scores
     return bool(scores) and all(
-        getattr(getattr(scores[motion][WHOLE], signal), item) <= _target(signal, item)
-        for motion in MOTIONS
-        for signal in SIGNALS
-        for item in ITEMS
+        getattr(getattr(scores[motion][WHOLE], signal), item) <= _get_target(signal, item)
+        for motion, signal, item in product(MOTIONS, SIGNALS, ITEMS)
     )
 
 
-def tree(shown: Outcome, outcomes: list[Outcome], seed: int) -> dict[str, Any]:
+def build_tree(shown: Outcome, outcomes: list[Outcome], seed: int) -> dict[str, Any]:
     """Return all of it for a JSON file; errors in shares of full scale."""
     values: dict[str, Any] = to_json_values(
         {
             "seed": seed,
             "published": PUBLISHED,
             "targets": TARGETS,
-            "shown": _outcome_tree(shown),
-            "sheaths": [_outcome_tree(outcome) for outcome in outcomes],
+            "shown": _build_outcome_tree(shown),
+            "sheaths": [_build_outcome_tree(outcome) for outcome in outcomes],
             "spread": {
                 motion: {
                     method: {
-                        f"{item} {signal}": _spread(outcomes, method, motion, signal, item)
-                        for signal in SIGNALS
-                        for item in ITEMS
+                        f"{item} {signal}": _compute_spread(outcomes, method, motion, signal, item)
+                        for signal, item in product(SIGNALS, ITEMS)
                     }
                     for method in METHODS
                 }
                 for motion in MOTIONS
             },
-            "within_all_targets": sum(meets(outcome) for outcome in outcomes),
+            "within_all_targets": sum(meets_targets(outcome) for outcome in outcomes),
         }
     )
     return values
 
 
-def _outcome_tree(outcome: Outcome) -> dict[str, Any]:
+def _build_outcome_tree(outcome: Outcome) -> dict[str, Any]:
     specimen = outcome.specimen
     return {
         "number": specimen.number,
@@ -154,27 +142,29 @@ def _outcome_tree(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _spread(outcomes: list[Outcome], method: str, motion: str, signal: str, item: str) -> Spread:
-    return spread(values(outcomes, method, motion, signal, item), _target(signal, item))
+def _compute_spread(
+    outcomes: list[Outcome], method: str, motion: str, signal: str, item: str
+) -> Spread:
+    return compute_spread(
+        collect_errors(outcomes, method, motion, signal, item), _get_target(signal, item)
+    )
 
 
-def _target(signal: str, item: str) -> float:
+def _get_target(signal: str, item: str) -> float:
     return TARGETS[signal][ITEMS.index(item)]
 
 
-def _pair(outcome: Outcome, method: str, phase: str, signal: str) -> str:
+def _format_errors(outcome: Outcome, method: str, phase: str, signal: str) -> str:
     scores = outcome.results[method].scores
     if not scores:
         return "refused"
     found: Errors = getattr(scores[PROFILE][phase], signal)
-    return (
-        "–"
-        if math.isnan(found.largest)
-        else (f"{_percent(found.largest)} / {_percent(found.average)}")
-    )
+    if math.isnan(found.largest):
+        return "–"
+    return f"{_format_percent(found.largest)} / {_format_percent(found.average)}"
 
 
-def _percent(share: float) -> str:
+def _format_percent(share: float) -> str:
     if math.isinf(share):
         return "refused"
     return f"{100.0 * share:.2f}" if share < 0.0995 else f"{100.0 * share:.0f}"

@@ -32,9 +32,9 @@ from studies.paper.bench import (
     PAPER_TURNS,
     BenchRun,
     Specimen,
-    build,
-    perform,
-    stretch_at_rest,
+    build_bench,
+    compute_rest_stretch,
+    perform_motion,
 )
 from studies.paper.methods import METHODS, CalibratedMethod, Estimates, Initialisation
 
@@ -71,24 +71,24 @@ class Truth(NamedTuple):
     phase: dict[str, NDArray[np.bool_]]  # samples, by name; WHOLE is all that counts
 
 
-def score(truth: Truth, distal_tension: Array, elongation: Array) -> dict[str, Score]:
+def score_estimate(truth: Truth, distal_tension: Array, elongation: Array) -> dict[str, Score]:
     """Return the errors of an estimate, phase by phase."""
     return {
         name: Score(
-            errors(distal_tension, truth.distal_tension, where),
-            errors(elongation, truth.elongation, where),
+            compute_errors(distal_tension, truth.distal_tension, where),
+            compute_errors(elongation, truth.elongation, where),
         )
         for name, where in truth.phase.items()
     }
 
 
-def taut(T_in: Array) -> NDArray[np.bool_]:
+def select_taut(T_in: Array) -> NDArray[np.bool_]:
     """Return the samples from where a pull from slack has first reached `TAUT`."""
     begins = int(np.argmax(T_in >= TAUT * T_in.max()))
     return np.arange(len(T_in)) >= begins
 
 
-def errors(estimate: Array, truth: Array, where: NDArray[np.bool_] | None = None) -> Errors:
+def compute_errors(estimate: Array, truth: Array, where: NDArray[np.bool_] | None = None) -> Errors:
     """Return the largest and the average |estimate - truth| over full scale.
 
     Full scale is the largest `truth` of the whole run, whatever samples `where` picks. Without any
@@ -102,7 +102,7 @@ def errors(estimate: Array, truth: Array, where: NDArray[np.bool_] | None = None
     return Errors(float(off.max()), float(off.mean()))
 
 
-def phases(leg: NDArray[np.int64], T_in: Array, T_out: Array) -> NDArray[np.int64]:
+def label_phases(leg: NDArray[np.int64], T_in: Array, T_out: Array) -> NDArray[np.int64]:
     """Return which of `PHASES` each sample belongs to, told by the tip itself and no law.
 
     A transition lasts from the turn of `T_in` until `T_out` has left the value it had there.
@@ -116,7 +116,7 @@ def phases(leg: NDArray[np.int64], T_in: Array, T_out: Array) -> NDArray[np.int6
     """
     scale = MOVED * float(T_out.max())
     label = np.zeros(len(leg), dtype=np.int64)
-    for turn, begins in ((_turn(T_in, leg <= 1), 1), (_turn(-T_in, leg >= 1), 3)):
+    for turn, begins in ((_find_turn(T_in, leg <= 1), 1), (_find_turn(-T_in, leg >= 1), 3)):
         label[turn:] = begins
         follows = np.abs(T_out[turn:] - T_out[turn]) > scale
         if follows.any():
@@ -124,7 +124,7 @@ def phases(leg: NDArray[np.int64], T_in: Array, T_out: Array) -> NDArray[np.int6
     return label
 
 
-def _turn(signal: Array, where: NDArray[np.bool_]) -> int:
+def _find_turn(signal: Array, where: NDArray[np.bool_]) -> int:
     """Return the index of the largest of the signal among the samples `where`."""
     candidates = np.flatnonzero(where)
     return int(candidates[np.argmax(signal[candidates])])
@@ -166,7 +166,9 @@ class Spread(NamedTuple):
     sheaths: int
 
 
-def values(outcomes: list[Outcome], method: str, motion: str, signal: str, item: str) -> Array:
+def collect_errors(
+    outcomes: list[Outcome], method: str, motion: str, signal: str, item: str
+) -> Array:
     """Return one error for each sheath: signal force or elongation, item largest or average."""
     return np.array(
         [
@@ -178,18 +180,13 @@ def values(outcomes: list[Outcome], method: str, motion: str, signal: str, item:
     )
 
 
-def spread(errors: Array, target: float) -> Spread:
+def compute_spread(errors: Array, target: float) -> Spread:
     """Return how one error is spread over the sheaths."""
     ranked = np.sort(errors)
     ninetieth = ranked[int(np.ceil(0.9 * len(ranked))) - 1]
     within = int(np.sum(errors <= target))
-    return Spread(
-        float(ranked[(len(ranked) - 1) // 2]),
-        float(ninetieth),
-        float(ranked[-1]),
-        within,
-        len(ranked),
-    )
+    median = float(ranked[(len(ranked) - 1) // 2])
+    return Spread(median, float(ninetieth), float(ranked[-1]), within, len(ranked))
 
 
 PROFILE, NESTED = "pull, release, pull", "nested reversals"
@@ -205,7 +202,7 @@ class Session(NamedTuple):
     records: dict[str, BenchRun]  # by motion
 
 
-def experiment(specimen: Specimen, seed: int) -> Session:
+def run_experiment(specimen: Specimen, seed: int) -> Session:
     """Initialise the bench and go through the motions; the same seed gives the same session."""
     seeds = np.random.SeedSequence((seed, specimen.number)).generate_state(1 + len(MOTIONS))
     initialised: Initialisation | CalibrationRefused
@@ -213,31 +210,31 @@ def experiment(specimen: Specimen, seed: int) -> Session:
         initialised = methods.initialise(specimen, int(seeds[0]))
     except CalibrationRefused as refused:
         initialised = refused
-    stretch = stretch_at_rest(specimen)
+    stretch = compute_rest_stretch(specimen)
     records = {
-        motion: perform(build(specimen, int(one), loaded=True), turns, stretch)
+        motion: perform_motion(build_bench(specimen, int(one), loaded=True), turns, stretch)
         for one, (motion, turns) in zip(seeds[1:], MOTIONS.items(), strict=True)
     }
     return Session(specimen, initialised, records)
 
 
-def judge(session: Session) -> Outcome:
+def judge_session(session: Session) -> Outcome:
     """Return how far every method was off."""
-    results = {method: _result(session, method) for method in METHODS}
-    return Outcome(session.specimen, unevenness(session.specimen), results)
+    results = {method: _judge_method(session, method) for method in METHODS}
+    return Outcome(session.specimen, compute_unevenness(session.specimen), results)
 
 
-def truth_of(motion: str, record: BenchRun) -> Truth:
+def collect_truth(motion: str, record: BenchRun) -> Truth:
     """Return what the bench says, and the phases where there are such."""
-    counts = taut(record.tension)
+    counts = select_taut(record.tension)
     parts = {WHOLE: counts}
     if motion == PROFILE:
-        label = phases(record.leg, record.tension, record.distal_tension)
+        label = label_phases(record.leg, record.tension, record.distal_tension)
         parts |= {name: counts & (label == i) for i, name in enumerate(PHASES)}
     return Truth(record.distal_tension, record.elongation, parts)
 
 
-def unevenness(specimen: Specimen) -> float:
+def compute_unevenness(specimen: Specimen) -> float:
     """Return ln(M_rel/M_pull) - K (docs/explanation/theory.md (T4)).
 
     Zero where curvature is spread evenly or alike from both ends, above zero where the bends are at
@@ -253,22 +250,17 @@ def unevenness(specimen: Specimen) -> float:
     return math.log(ratio) - specimen.K
 
 
-def _result(session: Session, method: str) -> Result:
+def _judge_method(session: Session, method: str) -> Result:
     try:
-        fit_method = methods.fit_method(method, session.specimen, _initialised(session))
+        initialised = methods.require(session.initialised)
+        fit_method = methods.fit_method(method, session.specimen, initialised)
     except (CalibrationRefused, ValueError) as error:
         return Result(math.nan, str(error), {})
     scores = {
-        motion: score(truth_of(motion, record), *fit_method.estimate(record))
+        motion: score_estimate(collect_truth(motion, record), *fit_method.estimate(record))
         for motion, record in session.records.items()
     }
     return Result(fit_method.K, "", scores)
-
-
-def _initialised(session: Session) -> Initialisation:
-    if isinstance(session.initialised, CalibrationRefused):
-        raise session.initialised
-    return session.initialised
 
 
 # --- one sheath in full, for the figures that repeat the paper's
@@ -311,25 +303,25 @@ class Demonstration(NamedTuple):
     distributions: list[Distribution]
 
 
-def demonstrate(seed: int) -> Demonstration:
+def demonstrate_specimen(seed: int) -> Demonstration:
     """Go through the experiment with the sheath of the figures."""
-    session = experiment(SPECIMEN, seed)
-    initialised = session.initialised
-    if isinstance(initialised, CalibrationRefused):
-        raise initialised
-    calibrated = initialised.ours
-    if isinstance(calibrated, CalibrationRefused):
-        raise calibrated
+    session = run_experiment(SPECIMEN, seed)
+    initialised = methods.require(session.initialised)
+    calibrated = methods.require(initialised.ours)
     record = session.records[PROFILE]
     estimates = {
         method: methods.fit_method(method, SPECIMEN, initialised).estimate(record)
         for method in METHODS
     }
-    distributions = release(SPECIMEN.sheath, calibrated.tendon.build_model().sheath, LEVELS)
-    return Demonstration(session, initialised, calibrated, judge(session), estimates, distributions)
+    distributions = release_tendon(SPECIMEN.sheath, calibrated.tendon.build_model().sheath, LEVELS)
+    return Demonstration(
+        session, initialised, calibrated, judge_session(session), estimates, distributions
+    )
 
 
-def release(sheath: SheathConfig, model: Sheath, levels: tuple[float, ...]) -> list[Distribution]:
+def release_tendon(
+    sheath: SheathConfig, model: Sheath, levels: tuple[float, ...]
+) -> list[Distribution]:
     """Pull a tendon whose tip is held to the first of `levels` [N], then release it to the others.
 
     `model` is driven by the T_in that the plant has at each.
@@ -354,15 +346,6 @@ def release(sheath: SheathConfig, model: Sheath, levels: tuple[float, ...]) -> l
         true = get_tensions(chain, state)
         profile = drive_proximal(table, profile, float(true[0]))
         seen = observe(table, profile)
-        found.append(
-            Distribution(
-                float(true[0]),
-                true_x,
-                true,
-                x,
-                evaluate_tension(table, profile, x),
-                seen.front,
-                seen.T_front,
-            )
-        )
+        along = evaluate_tension(table, profile, x)
+        found.append(Distribution(float(true[0]), true_x, true, x, along, seen.front, seen.T_front))
     return found

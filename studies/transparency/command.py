@@ -72,10 +72,10 @@ def main(args: argparse.Namespace) -> int:
     if not 1 <= args.jobs <= 256:
         raise UsageError(f"--jobs {args.jobs}: must be 1 to 256")
     make_folder(args.out, "transparency.md")
-    cases = run(study_config, args.jobs)
-    print(report.summary(study_config, cases).to_markdown(), flush=True)
-    write_summary(args.out / "transparency.json", report.tree(study_config, cases))
-    text = report.text(study_config, cases) + "\n"
+    cases = run_study(study_config, args.jobs)
+    print(report.build_summary_table(study_config, cases).to_markdown(), flush=True)
+    write_summary(args.out / "transparency.json", report.build_tree(study_config, cases))
+    text = report.format_tables(study_config, cases) + "\n"
     write_text_file(args.out / "transparency.md", text, "the tables")
     print(f"\nwritten: {args.out / 'transparency.md'}")
     return 0
@@ -105,18 +105,18 @@ def parse_study(args: argparse.Namespace) -> Study:
     )
     if delays:
         study_config = replace(study_config, round_trips=tuple(sorted({1e-3 * d for d in delays})))
-    return study.quick(study_config) if args.quick else study_config
+    return study.shorten_study(study_config) if args.quick else study_config
 
 
-def run(study_config: Study, workers: int) -> list[Case]:
+def run_study(study_config: Study, workers: int) -> list[Case]:
     """Return what was measured, in so many processes."""
-    tasks, progress = study.tasks(study_config), Progress()
+    tasks, progress = study.list_tasks(study_config), Progress()
     done: dict[Task, Any] = {}
     try:
-        results = map_in_parallel(partial(study.measure, study_config), tasks, workers)
+        results = map_in_parallel(partial(study.measure_task, study_config), tasks, workers)
         for task in tasks:
             progress(f"{task.kind}, {task.coupling}", len(done) / len(tasks))
             done[task] = next(results)
     finally:
         progress.end()
-    return study.gather(study_config, done)
+    return study.gather_cases(study_config, done)

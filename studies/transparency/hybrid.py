@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from studies.transparency.hand import DT, Device, GuidedHand
-from studies.transparency.system import SETTLED, RunData, System, part, run
+from studies.transparency.system import SETTLED, RunData, System, cut_run, run_hand
 
 # --- signals with few lines in their spectrum, and what a system answered at those lines
 # A multisine has odd harmonics of its period only, so that a system that is not linear answers at
@@ -60,7 +60,7 @@ def draw_multisine(
     return Multisine(period, harmonics, tuple(amplitude.tolist()), tuple(phase.tolist()))
 
 
-def spectrum(values: Array, time: Array, frequency: Array) -> Lines:
+def compute_spectrum(values: Array, time: Array, frequency: Array) -> Lines:
     """Return the complex amplitude at each frequency [Hz]; whole periods, evenly sampled.
 
     `time` [s] is that of each value.
@@ -70,7 +70,7 @@ def spectrum(values: Array, time: Array, frequency: Array) -> Lines:
     return found
 
 
-def held(frequency: Array, dt: float) -> Lines:
+def compute_hold(frequency: Array, dt: float) -> Lines:
     """Return what holding each sample for `dt` [s] does to a line: sinc and half a `dt` of lag."""
     found: Lines = np.sinc(frequency * dt) * np.exp(-1j * np.pi * frequency * dt)
     return found
@@ -84,7 +84,7 @@ class Response(NamedTuple):
     distortion: float  # answer at lines not asked over answer at those asked, RMS
 
 
-def response(excited: Lines, answer: Lines, others: Lines) -> Response:
+def estimate_response(excited: Lines, answer: Lines, others: Lines) -> Response:
     """Return the best linear approximation over several periods, shape (periods, lines).
 
     The coherence falls with noise, and with all that depends on the phases of the other lines.
@@ -126,7 +126,7 @@ class Hybrid(NamedTuple):
     h22: Response  # [m/(N s)]
 
 
-def measure(
+def measure_hybrid(
     build: Callable[[], System],
     excitation: Excitation,
     device: Device,
@@ -139,20 +139,20 @@ def measure(
     for seed in range(excitation.draws):
         amplitude = excitation.speed / position_scale / (2.0 * np.pi * frequency)
         motion = draw_multisine(excitation.period, excitation.harmonics, amplitude, seed)
-        moved += _periods(build(), excitation, device, round_trip, motion, None)
+        moved += _run_periods(build(), excitation, device, round_trip, motion, None)
         even = np.full(len(frequency), excitation.force)
         force = draw_multisine(excitation.period, excitation.harmonics, even, seed)
-        pushed += _periods(build(), excitation, device, round_trip, None, force)
+        pushed += _run_periods(build(), excitation, device, round_trip, None, force)
     harmonics = np.arange(1, max(excitation.harmonics) + 2)
     is_excited = np.isin(harmonics, excitation.harmonics)
     every = harmonics / excitation.period
-    of_moved, of_pushed = (
-        _Ports(*(np.array(x) for x in zip(*(_ports(r, every, device) for r in part), strict=True)))
-        for part in (moved, pushed)
-    )
+    ports = ([_compute_ports(record, every, device) for record in runs] for runs in (moved, pushed))
+    of_moved, of_pushed = (_Ports(*map(np.array, zip(*periods, strict=True))) for periods in ports)
 
     def estimate(excited: Lines, answer: Lines) -> Response:
-        return response(excited[:, is_excited], answer[:, is_excited], answer[:, ~is_excited])
+        return estimate_response(
+            excited[:, is_excited], answer[:, is_excited], answer[:, ~is_excited]
+        )
 
     return Hybrid(
         frequency,
@@ -172,7 +172,7 @@ class _Ports(NamedTuple):
     f_tip: Lines
 
 
-def _periods(
+def _run_periods(
     system: System,
     excitation: Excitation,
     device: Device,
@@ -192,7 +192,7 @@ def _periods(
 
     first = begin + RISE + round_trip + excitation.settle
     length = round(excitation.period / DT)
-    record = run(
+    record = run_hand(
         system,
         GuidedHand(growing(motion), device),
         first + excitation.periods * excitation.period,
@@ -201,21 +201,21 @@ def _periods(
     )
     start = len(record.time) - excitation.periods * length
     return [
-        part(record, start + n * length, start + (n + 1) * length)
+        cut_run(record, start + n * length, start + (n + 1) * length)
         for n in range(excitation.periods)
     ]
 
 
-def _ports(record: RunData, frequency: Array, device: Device) -> _Ports:
+def _compute_ports(record: RunData, frequency: Array, device: Device) -> _Ports:
     s = 2j * np.pi * frequency
-    v_hand = s * spectrum(record.hand, record.time, frequency)
-    rendered = spectrum(record.force, record.time, frequency) * held(frequency, DT)
+    v_hand = s * compute_spectrum(record.hand, record.time, frequency)
+    rendered = compute_spectrum(record.force, record.time, frequency) * compute_hold(frequency, DT)
     later = record.time + DT / 2
     return _Ports(
         v_hand,
         (s * device.mass + device.damping) * v_hand - rendered,
-        s * spectrum(record.tip, later, frequency),
-        spectrum(record.load, later, frequency),
+        s * compute_spectrum(record.tip, later, frequency),
+        compute_spectrum(record.load, later, frequency),
     )
 
 
@@ -237,7 +237,7 @@ class Margin(NamedTuple):
     stable: NDArray[np.bool_]  # all three conditions hold
 
 
-def margin(two_port: Hybrid) -> Margin:
+def compute_margin(two_port: Hybrid) -> Margin:
     """Return the criterion's numbers at each line of a two-port."""
     h11, h12, h21, h22 = (r.value for r in two_port[1:])
     through = h12 * h21

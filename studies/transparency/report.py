@@ -1,6 +1,7 @@
 """The study in numbers: Markdown tables for people, a tree for programs."""
 
 import math
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -17,37 +18,44 @@ RIPPLE = 0.05  # [N] of a force on the hand that has not come to rest
 SHOWN = 1000.0  # [N/m] of the spring that the summary tells of
 
 
-def milliseconds(round_trip: float) -> str:
+def format_milliseconds(round_trip: float) -> str:
     """Return a delay for people."""
     return f"{1e3 * round_trip:g} ms"
 
 
-def worst(case: Case, damping: float) -> Walls:
+def find_worst_walls(case: Case, damping: float) -> Walls:
     """Return what is stable with every hand, and the worst buzz of it."""
     walls = [w for (_, b), w in case.walls.items() if b == damping]
     buzz = [w.buzz for w in walls if math.isfinite(w.buzz)]
     return Walls(min(w.width for w in walls), max(buzz, default=math.nan))
 
 
-def width(study: Study, walls: Walls) -> str:
+def format_width(study: Study, walls: Walls) -> str:
     """Return a Z-width [N/m] for people."""
     if walls.width.stable == 0.0:
         return f"< {study.lowest:.0f}"
-    return f"{'≥ ' if math.isinf(walls.width.unstable) else ''}{_round(walls.width.stable)}"
+    return f"{'≥ ' if math.isinf(walls.width.unstable) else ''}{_round_off(walls.width.stable)}"
 
 
-def text(study: Study, cases: list[Case]) -> str:
+def format_tables(study: Study, cases: list[Case]) -> str:
     """Return all tables as Markdown; studies/results/coupling.md says how each is measured."""
     tables = {
-        "In short": summary(study, cases),
-        "Rendered against true stiffness": stiffnesses(study, cases),
-        "Z-width with each hand": widths(study, cases),
-        "Linearity of the hybrid parameters": quality(cases),
+        "In short": build_summary_table(study, cases),
+        "Rendered against true stiffness": build_stiffness_table(study, cases),
+        "Z-width with each hand": build_width_table(study, cases),
+        "Linearity of the hybrid parameters": build_quality_table(cases),
     }
     return "\n\n".join(f"## {title}\n\n{table.to_markdown()}" for title, table in tables.items())
 
 
-def summary(study: Study, cases: list[Case]) -> Table:
+def _build_rows(
+    cases: list[Case], describe: Callable[[Case], Iterable[str]]
+) -> tuple[tuple[str, ...], ...]:
+    """Return a row for each coupling and delay, with what `describe` says of it."""
+    return tuple((c.coupling, format_milliseconds(c.round_trip), *describe(c)) for c in cases)
+
+
+def build_summary_table(study: Study, cases: list[Case]) -> Table:
     """Return what each coupling is at each delay, in a line."""
     shown = min(study.stiffnesses, key=lambda k: abs(math.log(k / SHOWN)))
     head = (
@@ -56,78 +64,61 @@ def summary(study: Study, cases: list[Case]) -> Table:
         f"felt of {shown:g} N/m",
         *(f"Z-width at {b:g} N s/m [N/m]" for b in study.dampings),
         "buzz [N]",
-        f"drag at {_lowest(study):g} Hz [N s/m]",
+        f"drag at {study.excitation.frequency[0]:g} Hz [N s/m]",
         "Llewellyn",
     )
-    rows = []
-    for case in cases:
+
+    def describe(case: Case) -> Iterable[str]:
         pressed = next(p for p in case.pressed if p.true == shown)
-        walls = [worst(case, b) for b in study.dampings]
-        rows.append(
-            (
-                case.coupling,
-                milliseconds(case.round_trip),
-                f"{100.0 * pressed.rendered:.0f} %{_rippled(pressed.ripple)}",
-                *(width(study, w) for w in walls),
-                _number(max((w.buzz for w in walls if math.isfinite(w.buzz)), default=math.nan)),
-                _drag(case),
-                _criterion(study, case),
-            )
+        walls = [find_worst_walls(case, b) for b in study.dampings]
+        yield f"{100.0 * pressed.rendered:.0f} %{_format_ripple(pressed.ripple)}"
+        yield from (format_width(study, w) for w in walls)
+        yield _format_number(
+            max((w.buzz for w in walls if math.isfinite(w.buzz)), default=math.nan)
         )
-    return Table(head, tuple(rows))
+        yield _format_drag(case)
+        yield _format_criterion(study, case)
+
+    return Table(head, _build_rows(cases, describe))
 
 
-def stiffnesses(study: Study, cases: list[Case]) -> Table:
+def build_stiffness_table(study: Study, cases: list[Case]) -> Table:
     """Return the stiffness felt at the hand [N/m], and in % of what the scales make of it."""
     head = ("coupling", "round trip", *(f"{k:g} N/m" for k in study.stiffnesses))
-    rows = [
-        (
-            case.coupling,
-            milliseconds(case.round_trip),
-            *(
-                f"{_round(p.felt)} ({100.0 * p.rendered:.0f} %{_rippled(p.ripple)})"
-                for p in case.pressed
-            ),
-        )
-        for case in cases
-    ]
-    return Table(head, tuple(rows))
+
+    def describe(case: Case) -> Iterable[str]:
+        for p in case.pressed:
+            yield f"{_round_off(p.felt)} ({100.0 * p.rendered:.0f} %{_format_ripple(p.ripple)})"
+
+    return Table(head, _build_rows(cases, describe))
 
 
-def widths(study: Study, cases: list[Case]) -> Table:
+def build_width_table(study: Study, cases: list[Case]) -> Table:
     """Return the Z-width with each hand, and how the force trembles there."""
     columns = [(hand, b) for hand in HANDS for b in study.dampings]
-    head = (
-        "coupling",
-        "round trip",
-        *(f"{hand}, {b:g} N s/m: [N/m], buzz [N]" for hand, b in columns),
-    )
-    rows = [
-        (
-            case.coupling,
-            milliseconds(case.round_trip),
-            *(f"{width(study, case.walls[c])}, {_number(case.walls[c].buzz)}" for c in columns),
+    titles = (f"{hand}, {b:g} N s/m: [N/m], buzz [N]" for hand, b in columns)
+
+    def describe(case: Case) -> Iterable[str]:
+        return (
+            f"{format_width(study, case.walls[c])}, {_format_number(case.walls[c].buzz)}"
+            for c in columns
         )
-        for case in cases
-    ]
-    return Table(head, tuple(rows))
+
+    return Table(("coupling", "round trip", *titles), _build_rows(cases, describe))
 
 
-def quality(cases: list[Case]) -> Table:
+def build_quality_table(cases: list[Case]) -> Table:
     """Return how linear the answers were: worst coherence, distortion."""
     head = ("coupling", "round trip", *(f"{p}: coherence, distortion" for p in PARAMETERS))
-    rows = [
-        (
-            case.coupling,
-            milliseconds(case.round_trip),
-            *(_linear(getattr(case.hybrid, p)) for p in PARAMETERS),
-        )
-        for case in cases
-    ]
-    return Table(head, tuple(rows))
+
+    def describe(case: Case) -> Iterable[str]:
+        for response in (getattr(case.hybrid, p) for p in PARAMETERS):
+            yield f"{response.coherence.min():.2f}, {100.0 * response.distortion:.1f} %"
+
+    return Table(head, _build_rows(cases, describe))
 
 
-def tree(study: Study, cases: list[Case]) -> dict[str, Any]:
+def build_tree(study: Study, cases: list[Case]) -> dict[str, Any]:
     """Return all of it for a JSON file; SI units, null where there is no number."""
     settings = {
         **to_json_values(study),
@@ -144,12 +135,12 @@ def tree(study: Study, cases: list[Case]) -> dict[str, Any]:
         "trusted_coherence": TRUSTED,
     }
     values: dict[str, Any] = to_json_values(
-        {"settings": settings, "cases": [_case_tree(study, case) for case in cases]}
+        {"settings": settings, "cases": [_build_case_tree(study, case) for case in cases]}
     )
     return values
 
 
-def _case_tree(study: Study, case: Case) -> dict[str, Any]:
+def _build_case_tree(study: Study, case: Case) -> dict[str, Any]:
     responses: dict[str, Response] = {name: getattr(case.hybrid, name) for name in PARAMETERS}
     return {
         "coupling": case.coupling,
@@ -161,7 +152,9 @@ def _case_tree(study: Study, case: Case) -> dict[str, Any]:
         ],
         "frequency": case.hybrid.frequency,
         "llewellyn": (
-            hybrid.margin(case.hybrid) if study.linear(case.coupling, case.round_trip) else None
+            hybrid.compute_margin(case.hybrid)
+            if study.linear(case.coupling, case.round_trip)
+            else None
         ),
         **{
             name: {
@@ -175,10 +168,10 @@ def _case_tree(study: Study, case: Case) -> dict[str, Any]:
     }
 
 
-def _criterion(study: Study, case: Case) -> str:
+def _format_criterion(study: Study, case: Case) -> str:
     if not study.linear(case.coupling, case.round_trip):
         return "does not apply"
-    found = hybrid.margin(case.hybrid)
+    found = hybrid.compute_margin(case.hybrid)
     if found.stable.all():
         return f"stable, η ≥ {found.eta.min():.2f}"
     at = case.hybrid.frequency[int(np.argmin(found.eta))]
@@ -186,26 +179,18 @@ def _criterion(study: Study, case: Case) -> str:
     return f"fails at {lines} lines, η {found.eta.min():.2f} at {at:g} Hz"
 
 
-def _drag(case: Case) -> str:
+def _format_drag(case: Case) -> str:
     value, coherence = case.hybrid.h11.value[0], case.hybrid.h11.coherence[0]
     return f"{value.real:.1f}" + ("" if coherence >= TRUSTED else f" (coherence {coherence:.2f})")
 
 
-def _lowest(study: Study) -> float:
-    return float(study.excitation.frequency[0])
-
-
-def _linear(response: Response) -> str:
-    return f"{response.coherence.min():.2f}, {100.0 * response.distortion:.1f} %"
-
-
-def _rippled(ripple: float) -> str:
+def _format_ripple(ripple: float) -> str:
     return f", ripple {ripple:.2f} N" if ripple > RIPPLE else ""
 
 
-def _round(value: float) -> str:
+def _round_off(value: float) -> str:
     return f"{float(f'{value:.2g}'):.0f}" if abs(value) < 1e6 else f"{value:.2g}"
 
 
-def _number(value: float) -> str:
+def _format_number(value: float) -> str:
     return f"{value:.2f}" if math.isfinite(value) else "–"

@@ -101,16 +101,16 @@ class Rig:
         return q
 
 
-def free(_q: float) -> float:
+def press_nothing(_q: float) -> float:
     """No contact."""
     return 0.0
 
 
-def wall(stiffness: float, position: float = 0.0015) -> Environment:
+def build_wall(stiffness: float, position: float = 0.0015) -> Environment:
     """Return a wall of `stiffness` [N/m] that begins at `position` [m]."""
     return lambda q: stiffness * max(q - position, 0.0)
 
 
-def tissue(q: float) -> float:
+def press_tissue(q: float) -> float:
     """Return the force of tissue that begins at 1.5 mm: 9400 N/m^1.5 by its depth."""
     return float(9400.0 * max(q - 0.0015, 0.0) ** 1.5)

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from studies.transparency.hand import DT, Device, GuidedHand, Motion, reach
-from studies.transparency.system import SETTLED, System, run
+from studies.transparency.hand import DT, Device, GuidedHand, Motion, build_reach
+from studies.transparency.system import SETTLED, System, run_hand
 
 FORCE = 4.0  # [N] at the tip, at the deepest
 STEPS = 4
@@ -27,7 +27,7 @@ class SpringContact(NamedTuple):
     ripple: float  # [N] span of the force on the hand while it was read, at most
 
 
-def press(
+def press_spring(
     system: System, stiffness: float, scales: tuple[float, float], round_trip: float, device: Device
 ) -> SpringContact:
     """Return what is felt of a spring that `system` meets from where its tip starts.
@@ -44,8 +44,8 @@ def press(
     begin = SETTLED + round_trip + 0.2
     step = FORCE / STEPS / stiffness / scales[1]
     lasts = MOVES + RESTS + round_trip
-    motion = _stairs(begin, lasts, step)
-    record = run(
+    motion = _build_stairs(begin, lasts, step)
+    record = run_hand(
         system, GuidedHand(motion, device), begin + STEPS * lasts, engage=SETTLED + round_trip
     )
     ends = [round((begin + (n + 1) * lasts) / DT) for n in range(STEPS)]
@@ -57,6 +57,6 @@ def press(
     return SpringContact(stiffness, felt, felt / (scales[0] * scales[1] * stiffness), ripple)
 
 
-def _stairs(begin: float, lasts: float, step: float) -> Motion:
-    steps = [reach(step, begin + n * lasts, MOVES) for n in range(STEPS)]
+def _build_stairs(begin: float, lasts: float, step: float) -> Motion:
+    steps = [build_reach(step, begin + n * lasts, MOVES) for n in range(STEPS)]
     return lambda time: sum(one(time) for one in steps)

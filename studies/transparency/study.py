@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 from studies.transparency import hybrid, stiffness, zwidth
 from studies.transparency.hand import Device, HandModel
 from studies.transparency.hybrid import Excitation, Hybrid
-from studies.transparency.rig import Environment, Rig, free, wall
+from studies.transparency.rig import Environment, Rig, build_wall, press_nothing
 from studies.transparency.stiffness import SpringContact
-from studies.transparency.system import Network, Teleoperator, rig_model, settings
+from studies.transparency.system import Network, Teleoperator, build_rig_model, build_settings
 from studies.transparency.zwidth import Width
 from teleop.coupling import Bilateral, CouplingConfig, DirectConfig, PassivityConfig, WaveConfig
 
@@ -69,12 +69,12 @@ class Study:
             Bilateral(coupling=self.coupling(name)),
             Rig(environment, spring, load),
             network,
-            settings(self.force_scale, self.position_scale, network),
-            rig_model(FRICTION),
+            build_settings(self.force_scale, self.position_scale, network),
+            build_rig_model(FRICTION),
         )
 
 
-def quick(study: Study) -> Study:
+def shorten_study(study: Study) -> Study:
     """Return the study with the least that still says something."""
     return replace(
         study,
@@ -114,7 +114,7 @@ class Case(NamedTuple):
     hybrid: Hybrid
 
 
-def tasks(study: Study) -> list[Task]:
+def list_tasks(study: Study) -> list[Task]:
     """Return all that is to be measured, what takes long first."""
     cells = [(name, delay) for name in study.couplings for delay in study.round_trips]
     return [
@@ -124,12 +124,12 @@ def tasks(study: Study) -> list[Task]:
     ]
 
 
-def measure(study: Study, task: Task) -> Any:
+def measure_task(study: Study, task: Task) -> Any:
     """Return what a task's measurement gives."""
     return KINDS[task.kind](study, task)
 
 
-def gather(study: Study, done: dict[Task, Any]) -> list[Case]:
+def gather_cases(study: Study, done: dict[Task, Any]) -> list[Case]:
     """Return what was measured, by coupling and delay."""
     return [
         Case(
@@ -148,11 +148,11 @@ def gather(study: Study, done: dict[Task, Any]) -> list[Case]:
     ]
 
 
-def _stiffness(study: Study, task: Task) -> tuple[SpringContact, ...]:
+def _measure_stiffness(study: Study, task: Task) -> tuple[SpringContact, ...]:
     scales = study.force_scale, study.position_scale
     return tuple(
-        stiffness.press(
-            study.system(task.coupling, task.round_trip, wall(k, 0.0), 0.0, PRETENSION),
+        stiffness.press_spring(
+            study.system(task.coupling, task.round_trip, build_wall(k, 0.0), 0.0, PRETENSION),
             k,
             scales,
             task.round_trip,
@@ -162,28 +162,29 @@ def _stiffness(study: Study, task: Task) -> tuple[SpringContact, ...]:
     )
 
 
-def _zwidth(study: Study, task: Task) -> Walls:
+def _measure_zwidth(study: Study, task: Task) -> Walls:
     device = replace(study.device, damping=task.damping)
     buzz = {}
 
     def stable(k: float) -> bool:
-        record = zwidth.push(
-            study.system(task.coupling, task.round_trip, wall(k, CONTACT), SPRING, PRETENSION),
+        met = build_wall(k, CONTACT)
+        record = zwidth.push_wall(
+            study.system(task.coupling, task.round_trip, met, SPRING, PRETENSION),
             HANDS[task.hand],
             device,
             CONTACT / study.position_scale,
             task.round_trip,
         )
-        buzz[k] = zwidth.buzz(record)
-        return zwidth.settles(record)
+        buzz[k] = zwidth.compute_buzz(record)
+        return zwidth.has_settled(record)
 
-    width = zwidth.largest(stable, study.lowest, study.cap, study.factor, study.within)
+    width = zwidth.find_largest_width(stable, study.lowest, study.cap, study.factor, study.within)
     return Walls(width, buzz.get(width.stable, math.nan))
 
 
-def _hybrid(study: Study, task: Task) -> Hybrid:
-    return hybrid.measure(
-        partial(study.system, task.coupling, task.round_trip, free, 0.0, LOAD),
+def _measure_hybrid(study: Study, task: Task) -> Hybrid:
+    return hybrid.measure_hybrid(
+        partial(study.system, task.coupling, task.round_trip, press_nothing, 0.0, LOAD),
         study.excitation,
         study.device,
         study.position_scale,
@@ -191,4 +192,4 @@ def _hybrid(study: Study, task: Task) -> Hybrid:
     )
 
 
-KINDS = {"stiffness": _stiffness, "zwidth": _zwidth, "hybrid": _hybrid}
+KINDS = {"stiffness": _measure_stiffness, "zwidth": _measure_zwidth, "hybrid": _measure_hybrid}

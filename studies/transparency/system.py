@@ -138,7 +138,7 @@ class Settings(NamedTuple):
     slave: SlaveConfig
 
 
-def settings(
+def build_settings(
     force_scale: float = 0.2, position_scale: float = 0.25, network: Network | None = None
 ) -> Settings:
     """Return the configs of a session over a `network`, by default the slowest one."""
@@ -158,7 +158,7 @@ def settings(
     return Settings(master, slave)
 
 
-def rig_model(friction: float = 0.02) -> slave_loop.RigModel:
+def build_rig_model(friction: float = 0.02) -> slave_loop.RigModel:
     """Return what the slave knows of `studies.transparency.rig.Rig`.
 
     `friction` is the effective one, K, of the sheath in its model; the rig has none.
@@ -182,18 +182,13 @@ class Teleoperator:
     network : Network
         Between the two.
     configs : Settings
-        Of both sides; by default those of `settings`.
+        Of both sides; by default those of `build_settings`.
     model : RigModel
-        What the slave knows of the rig; by default `rig_model`.
+        What the slave knows of the rig; by default `build_rig_model`.
     slave_bilateral : Bilateral
         The coupling of the slave if it is not the same.
 
-    Attributes
-    ----------
-    master : MasterMemory
-        State of the master.
-    slave : SlaveMemory
-        State of the slave.
+    The states of the two sides are `master` and `slave`.
     """
 
     def __init__(
@@ -205,7 +200,7 @@ class Teleoperator:
         model: slave_loop.RigModel | None = None,
         slave_bilateral: Bilateral | None = None,
     ) -> None:
-        self._rig, configs, model = rig, configs or settings(), model or rig_model()
+        self._rig, configs, model = rig, configs or build_settings(), model or build_rig_model()
         self._tendons = len(model.models)
         self._master_settings = build_master_settings(configs.master, bilateral)
         self._master = master_loop.init_master(1, EPOCH)
@@ -249,13 +244,9 @@ class Teleoperator:
         hand_input.fill_hand_input(self._hands, hand)
         tick_input = master_loop.TickInput(DT, now, latest.is_there, latest.compute_age_ns(now))
         known = (
-            self._master_settings,
-            self._master,
-            self._hands,
-            self._hands,
-            latest.packet.records,
-            tick_input,
-        )
+            self._master_settings, self._master, self._hands, self._hands,
+            latest.packet.records, tick_input,
+        )  # fmt: skip
         master_loop.compute_command(*known, self._command.records)
         master_loop.compute_force(*known, self._maps, False, self._force)
         self._commands.send(self._command, now)
@@ -266,14 +257,8 @@ class Teleoperator:
         estimate(*slave.estimate_arguments, rows, len(samples))
         fresh = latest.is_fresh(now, self._timeout_ns)
         tick_input = TickInput(DT, latest.is_there, fresh)
-        slave_loop.run_tick(
-            *slave.tick_arguments,
-            rows,
-            len(samples),
-            tick_input,
-            latest.packet.records,
-            self._state.records,
-        )
+        records = latest.packet.records, self._state.records
+        slave_loop.run_tick(*slave.tick_arguments, rows, len(samples), tick_input, *records)
         slave_loop.monitor_calibration(*slave.monitor_arguments, rows, len(samples))
         if self.slave.has_gated_position:
             self._rig.wanted = tuple(self.slave.gated_position[: self._tendons].tolist())
@@ -302,23 +287,23 @@ class RunData(NamedTuple):
     dragged: Array  # [m^2/s] times a damping at the hand: what that has dissipated [J]
 
 
-def part(record: RunData, begin: int, end: int) -> RunData:
+def cut_run(record: RunData, begin: int, end: int) -> RunData:
     """Return the ticks from `begin` to before `end`."""
     span = slice(begin, end)
     return record._replace(**{name: column[span] for name, column in record._asdict().items()})
 
 
-def nobody(_time: float) -> float:
+def push_nothing(_time: float) -> float:
     """Push nothing."""
     return 0.0
 
 
-def run(
+def run_hand(
     system: System,
     hand: Hand,
     seconds: float,
     engage: float = SETTLED,
-    push: Callable[[float], float] = nobody,
+    push: Callable[[float], float] = push_nothing,
 ) -> RunData:
     """Simulate for `seconds` [s].
 
@@ -345,16 +330,6 @@ def run(
     work = np.concatenate([[0.0], np.cumsum(f[:-1] * np.diff(x))])
     dragged = np.concatenate([[0.0], np.cumsum(np.square(v[1:]) + np.square(v[:-1])) * DT / 2])
     return RunData(
-        time,
-        x,
-        v,
-        f,
-        tip,
-        load,
-        commanded,
-        followed,
-        np.array(credit).T,
-        engaged > 0,
-        work,
+        time, x, v, f, tip, load, commanded, followed, np.array(credit).T, engaged > 0, work,
         dragged,
-    )
+    )  # fmt: skip

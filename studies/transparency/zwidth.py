@@ -1,7 +1,7 @@
 """Z-width: the stiffest wall that is rendered stably (Colgate & Brown 1994).
 
 A wall is stable with a hand if the hand that reached into it comes to rest there, or is about to,
-and was not fed with energy on its way: `settles`. That is asked for a rising stiffness until it
+and was not fed with energy on its way: `has_settled`. That is asked for a rising stiffness until it
 fails once, then in between (Colgate & Brown, "Factors affecting the Z-width of a haptic display",
 IEEE Int. Conf. Robotics and Automation 1994, 3205-3210). A hand that creeps, or swings ever less,
 is stable; one that goes on swinging is not.
@@ -15,8 +15,8 @@ import numpy as np
 from scipy.signal import detrend
 
 from estimator.array_types import Array
-from studies.transparency.hand import DT, Arm, Device, HandModel, reach
-from studies.transparency.system import SETTLED, RunData, System, run
+from studies.transparency.hand import DT, Arm, Device, HandModel, build_reach
+from studies.transparency.system import SETTLED, RunData, System, run_hand
 
 SPAN = 1.0  # [s] at the end, and as long before, in which the hand's swing is looked at
 SWING = 0.3e-3  # [m] is rest; more must have become less,
@@ -33,34 +33,34 @@ class Width(NamedTuple):
     unstable: float  # the smallest that was not; inf = none up to the cap
 
 
-def settles(record: RunData) -> bool:
+def has_settled(record: RunData) -> bool:
     """Return whether a hand comes to rest, still engaged, and was not fed on its way."""
     ticks = round(SPAN / DT)
-    before, after = swing(record.hand[-2 * ticks : -ticks]), swing(record.hand[-ticks:])
+    before, after = map(compute_swing, (record.hand[-2 * ticks : -ticks], record.hand[-ticks:]))
     fed = record.work.max(initial=0.0) > ENERGY
     return bool(record.engaged[-1] and not fed and (after <= SWING or after <= FADES * before))
 
 
-def swing(position: Array) -> float:
+def compute_swing(position: Array) -> float:
     """Return how far a position [m] goes to and fro: its span beside its straight trend."""
     return float(np.ptp(detrend(position)))
 
 
-def buzz(record: RunData) -> float:
+def compute_buzz(record: RunData) -> float:
     """Return how the force trembles [N] at the end: its standard deviation beside its trend."""
     return float(np.std(detrend(record.force[-round(SPAN / DT) :])))
 
 
-def push(
+def push_wall(
     system: System, hand: HandModel, device: Device, contact: float, round_trip: float = 0.0
 ) -> RunData:
     """Return how `hand` reaches into a wall that begins at `contact` [m] of it, and rests."""
     begin = SETTLED + round_trip + 0.2
-    arm = Arm(reach(contact + PUSH / hand.stiffness, begin), hand, device)
-    return run(system, arm, begin + 0.6 + REST, engage=SETTLED + round_trip)
+    arm = Arm(build_reach(contact + PUSH / hand.stiffness, begin), hand, device)
+    return run_hand(system, arm, begin + 0.6 + REST, engage=SETTLED + round_trip)
 
 
-def largest(
+def find_largest_width(
     stable: Callable[[float], bool], lowest: float, cap: float, factor: float, within: float
 ) -> Width:
     """Return up to which stiffness walls are stable.

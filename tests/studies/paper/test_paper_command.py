@@ -100,7 +100,7 @@ def test_the_folder_has_tables_figures_and_a_page_that_needs_no_other_file(ran):
     ],
 )
 def test_wrong_words_are_refused_in_one_line_before_the_work(words, monkeypatch, capsys):
-    monkeypatch.setattr(command, "run", lambda *_: pytest.fail("work was done"))
+    monkeypatch.setattr(command, "run_experiments", lambda *_: pytest.fail("work was done"))
     assert commands.run_program("python -m studies.paper", command, words) == 2
     said = capsys.readouterr().err
     assert words[0] in said

@@ -35,11 +35,11 @@ def largest_errors(found, T_out, e):
 def calibrated():
     """The model as the first pull of a chain gives it: M_e = e/T_in."""
     T_in, _, e = moved_through((20.0,))
-    return paper_method.initialise(e[-1] / T_in[-1], L, EA)
+    return paper_method.build_model(e[-1] / T_in[-1], L, EA)
 
 
 def run(model, tension, continued=False):
-    return paper_method.run(model, np.arange(len(tension)), tension, 0.0, continued)
+    return paper_method.run_method(model, np.arange(len(tension)), tension, 0.0, continued)
 
 
 @pytest.mark.parametrize("continued", [False, True])
@@ -63,7 +63,7 @@ def test_a_reversal_inside_a_transition_makes_the_paper_jump_and_not_its_continu
 
 def test_uneven_curvature_misleads_it_as_theory_says():
     T_in, T_out, e = moved_through((20.0,), UNEVEN)
-    model = paper_method.initialise(e[-1] / T_in[-1], L, EA)
+    model = paper_method.build_model(e[-1] / T_in[-1], L, EA)
     true = MU * sum(length / radius for length, radius in UNEVEN)
     assert true == pytest.approx(0.99)
     assert pytest.approx(1.63, abs=0.01) == model.K
@@ -75,7 +75,7 @@ def test_uneven_curvature_misleads_it_as_theory_says():
 def test_noise_is_no_reversal(calibrated, noise):
     clean = np.concatenate([np.linspace(0.0, 20.0, 3000), np.full(2000, 20.0)])
     tension = clean + noise * np.random.default_rng(1).standard_normal(len(clean))
-    found = paper_method.run(calibrated, 1e-3 * np.arange(len(clean)), tension, noise)
+    found = paper_method.run_method(calibrated, 1e-3 * np.arange(len(clean)), tension, noise)
     assert set(found.phase) == {Phase.PULL}
     off = found.distal_tension - clean * math.exp(-K)
     lag = paper_method.TIME_CONSTANT * 20.0 / 3.0

@@ -1,16 +1,16 @@
 import numpy as np
 import pytest
 
-from studies.paper.study import PHASES, errors, phases
+from studies.paper.study import PHASES, compute_errors, label_phases
 
 
 def test_errors_are_shares_of_the_runs_largest_truth():
     truth = np.array([0.0, 4.0, 2.0, 1.0])
     estimate = np.array([0.4, 3.0, 2.2, 1.0])
-    found = errors(estimate, truth)
+    found = compute_errors(estimate, truth)
     assert found.largest == pytest.approx(1.0 / 4.0)
     assert found.average == pytest.approx((0.4 + 1.0 + 0.2 + 0.0) / 4.0 / 4.0)
-    late = errors(estimate, truth, np.array([False, False, True, True]))
+    late = compute_errors(estimate, truth, np.array([False, False, True, True]))
     assert late.largest == pytest.approx(0.2 / 4.0)
     assert late.average == pytest.approx(0.1 / 4.0)
 
@@ -20,7 +20,7 @@ def test_phases_follow_the_tip():
     T_in = np.array([0, 5, 10, 20, 15, 10, 6, 4, 2, 6, 10, 14, 18, 20], dtype=float)
     T_out = np.array([0, 2, 4, 8, 8, 8, 8, 7, 4, 4, 4, 4, 7, 8], dtype=float)
     leg = np.array([0, 0, 0, 0, 1, 1, 1, 1, 1, 2, 2, 2, 2, 2])
-    names = [PHASES[i] for i in phases(leg, T_in, T_out)]
+    names = [PHASES[i] for i in label_phases(leg, T_in, T_out)]
     assert names == (
         ["pull"] * 3
         + ["pull to release"] * 4

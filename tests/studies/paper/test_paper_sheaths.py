@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from studies.paper.study import unevenness
+from studies.paper.study import compute_unevenness
 
 
 def test_unevenness_is_the_one_of_theory():
@@ -13,4 +13,4 @@ def test_unevenness_is_the_one_of_theory():
     bends = (SectionConfig(0.2, 0.05), SectionConfig(1.3, 0.5))
     for sections, ratio in ((bends, 1.59), (bends[::-1], 0.63)):
         specimen = Specimen(1, "by hand", SheathConfig(sections, friction=0.15), 0.01)
-        assert math.exp(unevenness(specimen)) == pytest.approx(ratio, abs=0.01)
+        assert math.exp(compute_unevenness(specimen)) == pytest.approx(ratio, abs=0.01)

@@ -49,7 +49,7 @@ def measured(monkeypatch):
     def run(commanded, _workers):
         return [case(commanded, n, d) for n in commanded.couplings for d in commanded.round_trips]
 
-    monkeypatch.setattr(command, "run", run)
+    monkeypatch.setattr(command, "run_study", run)
 
 
 def bench(*words):
@@ -108,6 +108,6 @@ def test_what_makes_no_sense_is_refused_in_a_line(words, capsys):
 
 def test_a_measurement_runs_the_live_loops():
     commanded = Study(cap=200.0, lowest=200.0)
-    found = study.measure(commanded, Task("zwidth", "direct", 0.0, "firm", 5.0))
+    found = study.measure_task(commanded, Task("zwidth", "direct", 0.0, "firm", 5.0))
     assert found.width == Width(200.0, math.inf)
     assert 0.0 < found.buzz < 0.05

@@ -18,7 +18,7 @@ IDEAL = Device()
 
 
 def measured(device=IDEAL, build=DelayedSpringDamper):
-    return hybrid.measure(build, BRIEF, device, DelayedSpringDamper.a, 0.0)
+    return hybrid.measure_hybrid(build, BRIEF, device, DelayedSpringDamper.a, 0.0)
 
 
 def test_a_known_two_port_is_found():

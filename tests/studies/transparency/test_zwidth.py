@@ -36,14 +36,14 @@ def test_a_virtual_wall_is_stable_up_to_where_it_is(damping):
     hand, device = HandModel(0.1, 100.0, 0.0), Device(damping=damping)
 
     def stable(k):
-        return zwidth.settles(zwidth.push(VirtualWall(k, CONTACT), hand, device, CONTACT))
+        return zwidth.has_settled(zwidth.push_wall(VirtualWall(k, CONTACT), hand, device, CONTACT))
 
-    found = zwidth.largest(stable, 100.0, 1e5, 4.0, 1.02)
+    found = zwidth.find_largest_width(stable, 100.0, 1e5, 4.0, 1.02)
     truth = limit(hand.mass, hand.stiffness, damping)
     assert found.stable == pytest.approx(truth, rel=0.04)
     assert truth == pytest.approx(2.0 * damping / DT, rel=0.05)  # Colgate: b > K T / 2
 
 
 def test_a_gap_is_not_jumped():
-    found = zwidth.largest(lambda k: k < 50.0 or k > 500.0, 10.0, 1000.0, 10.0, 1.1)
+    found = zwidth.find_largest_width(lambda k: k < 50.0 or k > 500.0, 10.0, 1000.0, 10.0, 1.1)
     assert found.unstable <= 60.0

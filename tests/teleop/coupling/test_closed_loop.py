@@ -7,15 +7,20 @@ import pytest
 
 from studies.transparency import zwidth
 from studies.transparency.hand import DT, Arm, Device, HandModel
-from studies.transparency.hand import reach as reaching
-from studies.transparency.rig import Rig, free, tissue, wall
-from studies.transparency.system import SETTLED, Network, Teleoperator, run, settings
+from studies.transparency.hand import build_reach as reaching
+from studies.transparency.rig import Rig, build_wall, press_nothing, press_tissue
+from studies.transparency.system import SETTLED, Network, Teleoperator, build_settings, run_hand
 from teleop.coupling import Bilateral, DirectConfig, PassivityConfig, WaveConfig
 from teleop.session import state_machine
 from teleop.session.state_machine import Reason, State
 
 ROUND_TRIPS = [0.0, 0.020, 0.100, 0.200, 0.300]  # [s]
-MET = {"free": free, "tissue": tissue, "wall": wall(2000.0), "hard wall": wall(1e4)}
+MET = {
+    "free": press_nothing,
+    "tissue": press_tissue,
+    "wall": build_wall(2000.0),
+    "hard wall": build_wall(1e4),
+}
 PASSIVITY = Bilateral(coupling=PassivityConfig())
 WAVE = Bilateral(coupling=WaveConfig(play=0.1))
 DIRECT = Bilateral(coupling=DirectConfig())
@@ -38,8 +43,10 @@ def reach(bilateral, environment, round_trip, gain=HARD, rest=2.0, back=np.inf):
     force_scale, position_scale, target = gain
     begin = 0.6 + round_trip
     network = Network(round_trip, min(0.05, round_trip), 0.1, seed=1)
-    return run(
-        Teleoperator(bilateral, Rig(environment), network, settings(force_scale, position_scale)),
+    return run_hand(
+        Teleoperator(
+            bilateral, Rig(environment), network, build_settings(force_scale, position_scale)
+        ),
         Arm(reaching(target, begin, back=begin + back)),
         begin + 0.6 + rest + (0.0 if np.isinf(back) else back),
         engage=SETTLED + round_trip,
@@ -107,10 +114,12 @@ def test_a_hand_with_a_coarse_encoder_rests_on_a_hard_wall_without_a_buzz():
     round_trip = 0.100
     device = Device(mass=0.1, damping=0.5, resolution=10e-6, smoothing=0.010)
     network = Network(round_trip, min(0.05, round_trip), seed=1)
-    system = Teleoperator(PASSIVITY, Rig(MET["hard wall"]), network, settings(*HARD[:2], network))
-    record = zwidth.push(system, HandModel(0.15, 100.0, 3.0), device, 0.0015, round_trip)
+    system = Teleoperator(
+        PASSIVITY, Rig(MET["hard wall"]), network, build_settings(*HARD[:2], network)
+    )
+    record = zwidth.push_wall(system, HandModel(0.15, 100.0, 3.0), device, 0.0015, round_trip)
     assert_engaged(record)
-    assert zwidth.buzz(record) < 0.08
+    assert zwidth.compute_buzz(record) < 0.08
     assert record.force[-LAST:].max() < -0.5
 
 
@@ -129,8 +138,8 @@ def test_a_wall_met_again_and_again_is_felt_each_time():
         return 0.006 * max(math.sin(2.0 * math.pi * (time - 1.0)), 0.0) if time > 1.0 else 0.0
 
     network = Network(0.100, 0.05, 0.1)
-    system = Teleoperator(PASSIVITY, Rig(MET["wall"]), network, settings(*HARD[:2]))
-    record = run(system, Arm(prods), 8.0, engage=SETTLED + 0.1)
+    system = Teleoperator(PASSIVITY, Rig(MET["wall"]), network, build_settings(*HARD[:2]))
+    record = run_hand(system, Arm(prods), 8.0, engage=SETTLED + 0.1)
     assert_engaged(record)
     peaks = [record.force[(record.time > k) & (record.time < k + 1)].min() for k in range(2, 8)]
     assert max(peaks) < -0.5
@@ -138,7 +147,7 @@ def test_a_wall_met_again_and_again_is_felt_each_time():
 
 
 def test_sides_that_couple_otherwise_do_not_engage():
-    system = Teleoperator(PASSIVITY, Rig(free), slave_bilateral=WAVE)
-    run(system, Arm(reaching(0.0, 0.0)), 0.8)
+    system = Teleoperator(PASSIVITY, Rig(press_nothing), slave_bilateral=WAVE)
+    run_hand(system, Arm(reaching(0.0, 0.0)), 0.8)
     for side in (system.master, system.slave):
         assert state_machine.to_outline(side.session) == (State.READY, Reason.COUPLING_DIFFERS)

@@ -9,8 +9,15 @@ from slave.gate import GateConfig
 from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
 from slave.simulation.environment import WallConfig
 from studies.testbed.control_bench import joint
-from studies.transparency.hand import DT, Arm, reach
-from studies.transparency.system import SETTLED, Network, Settings, Teleoperator, run, settings
+from studies.transparency.hand import DT, Arm, build_reach
+from studies.transparency.system import (
+    SETTLED,
+    Network,
+    Settings,
+    Teleoperator,
+    build_settings,
+    run_hand,
+)
 from teleop.coupling import Bilateral, DirectConfig, PassivityConfig
 
 
@@ -57,11 +64,11 @@ def test_a_wall_behind_a_sheath(coupling, round_trip):
         Bilateral(coupling=coupling),
         rig,
         Network(round_trip, min(0.05, round_trip), 0.1),
-        Settings(settings(0.5, 1.0).master, slave),
+        Settings(build_settings(0.5, 1.0).master, slave),
         rig.model,
     )
-    arm = Arm(reach(0.005, begin=0.8 + round_trip))
-    record = run(system, arm, 3.4 + round_trip, engage=SETTLED + round_trip)
+    arm = Arm(build_reach(0.005, begin=0.8 + round_trip))
+    record = run_hand(system, arm, 3.4 + round_trip, engage=SETTLED + round_trip)
     assert record.engaged[-1]
     gained = record.work.max() * 1.0 / 0.5
     assert record.force.min() < -0.3
