@@ -239,11 +239,7 @@ def find_stretch_slip(measured: Array, modelled: Array) -> str:
 
 def _is_tip_driven(tension: Array, q_d: Array | None) -> bool:
     """Return whether the tip stretches a tendon that the motor holds: it gives way as it pulls."""
-    if q_d is None or _compute_span(q_d) == 0.0:
-        return False
-    rows = np.isfinite(tension) & np.isfinite(q_d)
-    x, y = tension[rows] - tension[rows].mean(), q_d[rows] - q_d[rows].mean()
-    return float(x @ y) < 0.0
+    return q_d is not None and _compute_correlation(tension, q_d) < 0.0
 
 
 def _compute_correlation(a: Array, b: Array) -> float:

@@ -190,13 +190,7 @@ def _judge_fit(T_in: Array, signal: Array, residuals: Array, K: float) -> tuple[
     if T_in.max() < math.exp(2.0 * K) * max(float(T_in.min()), 1e-3 * float(T_in.max())):
         return False, False, "tension never swings by e^2K: the start of the record decides the fit"
     share = _compute_rms(residuals) / float(np.abs(signal).max())
+    reason = f"residual is {share:.1%} of the peak"
     if share > RMSE_SHARE_MAX:
-        return (
-            True,
-            False,
-            (
-                f"residual is {share:.1%} of the peak, more than {RMSE_SHARE_MAX:.0%}: "
-                "the symmetric law misses something"
-            ),
-        )
-    return True, True, f"residual is {share:.1%} of the peak"
+        reason += f", more than {RMSE_SHARE_MAX:.0%}: the symmetric law misses something"
+    return True, share <= RMSE_SHARE_MAX, reason

@@ -324,28 +324,10 @@ def diagnose_records(
     report: ProgressCallback = ignore_progress,
     workers: int = 1,
 ) -> Diagnosis:
-    """Say what a model of a dataset gets wrong.
+    """Say what a model of records that were made ready gets wrong; for the options see `diagnose`.
 
-    Parameters
-    ----------
-    records : sequence of Record
-        From one dataset, with the same channels; they share its physics.
-    effects : sequence of Effect
-        That may be the cause.
-    validate : sequence of Record
-        To be predicted by the fitted models; only where each record starts is fitted to them.
-    cause : str
-        Name of the effect to be taken where several explain the data equally well.
-    fit_all : bool
-        Fit and judge all samples; none is held out.
-    leave_one_file_out : bool
-        Also predict each record by what the others give.
-    time_limit : float
-        [s] for each record, by simulated samples, after which no further search begins.
-    report : callable
-        Told what is being done and which share of it is.
-    workers : int
-        Fits side by side.
+    The records are of one dataset and share its physics. Of those in `validate`, which are to be
+    predicted, only where each starts is fitted.
 
     Raises
     ------

@@ -17,7 +17,6 @@ import numpy as np
 
 from estimator import signals
 from estimator.array_types import Array
-from estimator.compiled import jit_compile
 from estimator.lumped.lumped_model import Motion, Physics, simulate_by_tension, simulate_by_travel
 from estimator.lumped.nodes import PLACES, build_even_weights
 
@@ -104,7 +103,8 @@ def simulate_tendons_by_tensions(model: PairModel, record: PairRecord) -> tuple[
 def combine_tendons(model: PairModel, a: Motion, b: Motion) -> PairMotion:
     """Return what the joint makes of two tendons; only its own parameters matter."""
     pull = (a.distal_tension - b.distal_tension) / model.stiffness + model.neutral
-    angle = _apply_joint_friction(pull, model.joint_friction / model.stiffness)
+    # the play of the joint's friction begins at zero
+    angle = signals.apply_play(np.append(0.0, pull), model.joint_friction / model.stiffness)[1:]
     return PairMotion(angle, a.proximal_tension, b.proximal_tension)
 
 
@@ -144,14 +144,3 @@ def _simulate_after_pull(
         physics, np.concatenate([pull_time, time]), np.concatenate([pull, drive]), speed
     )
     return Motion(*(row[_STEPS:] for row in motion))
-
-
-@jit_compile
-def _apply_joint_friction(frictionless: Array, half_width: float) -> Array:
-    """Return the angle of a joint with friction for the one it would have without; from zero."""
-    angle = np.empty_like(frictionless)
-    position = 0.0
-    for i in range(len(frictionless)):
-        position = signals.update_play(position, frictionless[i], half_width)
-        angle[i] = position
-    return angle

@@ -152,9 +152,8 @@ def fit(
 
 def predict_angle(model: PairModel, record: PairRecord, law: PairVariant) -> Array:
     """Return the angle [rad] that a model predicts."""
-    return (simulate_by_tensions if law is PairVariant.TENSIONS else simulate_by_command)(
-        model, record
-    ).angle
+    simulate = simulate_by_tensions if law is PairVariant.TENSIONS else simulate_by_command
+    return simulate(model, record).angle
 
 
 def number_strokes(command: Array) -> NDArray[np.intp]:
@@ -170,12 +169,7 @@ def number_strokes(command: Array) -> NDArray[np.intp]:
 class _ParameterLayout:
     """Which numbers of a fit are free: shared ones, a K of each record if wanted, and its neutral.
 
-    Attributes
-    ----------
-    begin, bounds
-        Where the search begins, and within what it stays.
-    frictions
-        Which of the numbers are the frictions of single records.
+    The search begins at `begin` and stays within `bounds`; `frictions` are those of single records.
     """
 
     def __init__(

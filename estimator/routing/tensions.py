@@ -62,12 +62,8 @@ def build_initial_state(
     """
     theta = _read_angles(prepared, angles)
     T = np.broadcast_to(np.asarray(tension, dtype=np.float64), len(prepared.first) - 1)
-    rows = np.repeat(T, np.diff(prepared.first))
-    state = np.array([rows, rows, rows])
-    for tendon in range(len(T)):
-        begin, end = prepared.first[tendon], prepared.first[tendon + 1]
-        for copy, sign in ((1, -1.0), (2, 1.0)):
-            _open_cone(prepared, theta, begin, end, sign, state[copy])
+    state = np.empty((3, len(prepared.joint)))
+    open_tensions(prepared, np.tile(T, (3, 1)), theta, state)
     return RoutingState(state, np.array([theta, theta]))
 
 
