@@ -28,8 +28,8 @@ from estimator.compiled import jit_compile, jit_inline
 from estimator.law import tables as _tables
 from estimator.law.play_profile import from_log_tension, push_proximal, to_log_tension
 from estimator.law.transmission import evaluate_tension, read_profile
-from estimator.online import dynamic_correction
 from estimator.online.driving_end import anchor_window, drive_profile
+from estimator.online.dynamic_correction import bound_function_error, update_correction
 from estimator.online.estimator_state import (
     BOUND_SIGMAS,
     TENSION_FLOOR,
@@ -195,14 +195,9 @@ def advance(
         read where the model has no such effects.
     """
     T, q = correct_reading(prepared.corrections, state.remembered[:], T, q)
-    if with_dynamics is None:
-        _advance_law(prepared, state, T, q, dt, estimate)
-    else:
-        # who drives is decided by the travel that the law knows
-        travel = state.dynamics.travel if prepared.has_dynamics else 0.0
-        _advance_law(prepared, state, T, q - travel, dt, estimate)
-        if prepared.has_dynamics:
-            _add_dynamics(prepared, state, q, dt, estimate)
+    _advance_law(prepared, state, T, q, dt, estimate, with_dynamics)
+    if with_dynamics is not None and prepared.has_dynamics:
+        _add_dynamics(prepared, state, estimate)
     return T, q
 
 
@@ -224,8 +219,9 @@ def _advance_law(
     q: float,
     dt: float,
     estimate: TendonEstimate,
+    with_dynamics: bool | None,
 ) -> None:
-    """Take one corrected sample by the closed law alone."""
+    """Take one corrected sample by the closed law, whose travel is the motor's without effects'."""
     table = prepared.tables[:]
     tip_change = prepared.tip_tension_rate * dt if dt > 0.0 else 0.0
     state.proved_low -= tip_change
@@ -233,6 +229,8 @@ def _advance_law(
     if not _is_valid(prepared, T, q, dt):
         status = INVALID_INPUT | (0 if _is_initialised(table, state) else UNINITIALISED)
         state.has_displacement = False
+        if with_dynamics is not None and 0.0 <= dt < math.inf:
+            state.dynamics.refused_time += dt
         low, high = max(state.low - tip_change, 0.0), state.high + tip_change
         _write_estimate(table, state, low, high, math.nan, status, estimate)
         return
@@ -241,8 +239,12 @@ def _advance_law(
         state.mean_tension = state.held_tension = T
         state.tension_variance = prepared.tension_noise * prepared.tension_noise
     tension = _filter_tension(prepared, state, T, dt)
-    status = SLACK if tension.slack else 0
-    status |= _update_profile(prepared, state, tension, q, dt)
+    status, effects_travel = SLACK if tension.slack else 0, 0.0
+    if with_dynamics is not None and prepared.has_dynamics:
+        # first: a travel one sample late looks like a tip that moves
+        update_correction(prepared.dynamics, state.dynamics, tension.held_mean, q, dt)
+        effects_travel = state.dynamics.travel
+    status |= _update_profile(prepared, state, tension, q - effects_travel, dt)
     if not _is_initialised(table, state):
         status |= UNINITIALISED
     low, high = _compute_bounds(prepared, state, tension, T)
@@ -362,15 +364,10 @@ def _write_estimate(
 
 @jit_compile
 def _add_dynamics(
-    prepared: PreparedTendon, state: EstimatorState, q: float, dt: float, estimate: TendonEstimate
+    prepared: PreparedTendon, state: EstimatorState, estimate: TendonEstimate
 ) -> None:
-    """Put what effects add to the law on top of its estimate; `q` [m] is the corrected reading."""
+    """Put what effects add to the law on top of its estimate."""
     dynamics = state.dynamics
-    if estimate.status & INVALID_INPUT == 0:
-        dynamic_correction.update_correction(prepared.dynamics, dynamics, state.held_tension, q, dt)
-        estimate.distal_displacement = q - (estimate.elongation + dynamics.elongation)
-    elif 0.0 <= dt < math.inf:
-        dynamics.refused_time += dt
     change, T_out, low, high = (
         dynamics.tension, estimate.distal_tension, estimate.low, estimate.high,
     )  # fmt: skip
@@ -381,10 +378,11 @@ def _add_dynamics(
     estimate.distal_tension = corrected
     estimate.low = min(max(min(low, low + change), 0.0), corrected)
     estimate.high = max(high, min(high + change, tension_max), corrected)
-    margin = dynamic_correction.bound_function_error(prepared.dynamics, dynamics, corrected)
+    margin = bound_function_error(prepared.dynamics, dynamics, corrected)
     estimate.low = max(estimate.low - margin, 0.0)
     estimate.high = max(estimate.high, min(estimate.high + margin, tension_max))
     estimate.elongation += dynamics.elongation
+    estimate.distal_displacement -= dynamics.elongation
 
 
 @jit_compile
