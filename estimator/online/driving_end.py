@@ -20,6 +20,7 @@ from estimator.compiled import jit_compile
 from estimator.law import tables as _tables
 from estimator.law.play_profile import TIP, drive_end, push_proximal, to_log_tension
 from estimator.law.transmission import read_profile
+from estimator.online.dynamic_correction import varies_friction
 from estimator.online.estimator_state import EstimatorState, PreparedTendon
 
 # sigma of a displacement before it decides: a running extreme stands 3 to 4 off
@@ -70,6 +71,8 @@ def drive_profile(
     expected = abs(e - state.anchor_elongation)
     dT, dq = T - state.anchor_tension, q - state.anchor_displacement
     along = math.copysign(dq, dT * dq)  # of dq, what would change T_in the way it changed
+    if varies_friction(prepared.dynamics):  # where friction falls, so does T_in, however it goes
+        along = abs(dq)
     is_still = abs(dT) > sure_T and max(along, 0.0) + sure_q < STILL_RATIO * expected
     driving = along > sure_q and along >= DRIVING_RATIO * expected
     tip = is_still or (state.tip_drives and not driving)

@@ -82,6 +82,7 @@ class FunctionState(Struct):
     direction: F64 = 0.0  # of its last motion; 0 at rest
     rest_time: F64 = 0.0  # [s]
     value: F64 = 0.0
+    friction: F64 = 0.0  # [-] change of K by it, over K
 
 
 class DynamicConstants(Struct):
@@ -165,7 +166,8 @@ def update_correction(
         if constants.function.stretches:
             sample[0, lumped_model.STRETCH] = f
         else:
-            sample[0, lumped_model.FRICTION] *= max(1.0 + f, FRICTION_SHARE_MIN)
+            state.function.friction = max(f, FRICTION_SHARE_MIN - 1.0)
+            sample[0, lumped_model.FRICTION] *= 1.0 + state.function.friction
     sample[0, lumped_model.OFFSET] = state.tip_offset
     sample[0, lumped_model.COMPLIANCE] = state.tip_compliance
     effect_motion = lumped_model.advance(
@@ -178,7 +180,8 @@ def update_correction(
     if not (math.isfinite(tension_change) and abs(elongation_change) < STRETCH_MAX):
         reset(constants, state)
         return
-    state.travel += elongation_change - state.elongation
+    if not varies_friction(constants):
+        state.travel += elongation_change - state.elongation
     if effect_constants[lumped_model.VISCOSITY] != 0.0:
         state.travel += state.tip_compliance * (tension_change - state.tension)
         # the sum of changes with a compliance that is learnt does not close by itself
@@ -226,6 +229,14 @@ def update_function(
         x, low, high = _warp(x), _warp(low), _warp(high)
     state.value = evaluate_spline_at(function.coefficients[:], (x - low) / (high - low))
     return state.value
+
+
+@jit_compile
+def varies_friction(constants: DynamicConstants) -> bool:
+    """Return whether a free function changes friction."""
+    function = constants.function
+    is_friction: bool = function.variable != FunctionVariable.NONE and not function.stretches
+    return is_friction
 
 
 @jit_compile
@@ -305,7 +316,7 @@ def reset(constants: DynamicConstants, state: DynamicState) -> None:
     state.contact_displacements[:] = 0.0
     state.function.started = state.function.is_outside = False
     state.function.direction = state.function.rest_time = state.function.value = 0.0
-    state.function.speed = state.function.high_speed = 0.0
+    state.function.speed = state.function.high_speed = state.function.friction = 0.0
     at_rest = lumped_model.build_initial_state(constants.without_effects, 0.0, 0.0, 0.0)
     copy_values(at_rest, state.without_effects)
     at_rest = lumped_model.build_initial_state(constants.with_effects, 0.0, 0.0, 0.0)
