@@ -343,6 +343,26 @@ def build_initial_state(constants: Array, tension: float, stretch: float, offset
 
 
 @jit_compile
+def slide_all(constants: Array, memory: Array, tension: float, log_ratio: float) -> None:
+    """Let a tendon slide as a whole, in place.
+
+    `tension` [N] is that at the housing; its logarithm, with drag, rises by `log_ratio` to the tip.
+    """
+    line = _unpack_line(constants)
+    empty = np.empty(0)
+    tendon = Tendon(
+        line.law, empty, empty, 0.0, line.weights, 1.0, empty, _distribute_tip_compliance(line)
+    )
+    drag, last_tension = line.law.drag, memory[NODES - 1]
+    for j in range(NODES):
+        ratio = math.exp(log_ratio * line.law.depth * PLACES[j])
+        memory[j] = max((tension + drag) * ratio - drag, 0.0)
+        memory[LENGTHS + j] = compute_elongation(tendon, j, memory[j])[0] + memory[_CREEP + j]
+    last_compliance = line.tip_load.compliance * line.tip_shares[NODES - 1]
+    memory[_Q] += last_compliance * (memory[NODES - 1] - last_tension)
+
+
+@jit_compile
 def advance(
     constants: Array, memory: Array, samples: Array, speeds: Array, forced: bool, share_min: float
 ) -> Array:

@@ -232,6 +232,17 @@ def update_function(
 
 
 @jit_compile
+def slide_tendons(constants: DynamicConstants, state: DynamicState, T: float, side: float) -> None:
+    """Let both tendons slide as a whole as the closed law's does, whose `side` is -1 or rho."""
+    log_ratio = side * constants.friction
+    plain, with_effects = state.without_effects[:], state.with_effects[:]
+    lumped_model.slide_all(constants.without_effects[:], plain, T, log_ratio)
+    log_ratio *= 1.0 + state.function.friction
+    lumped_model.slide_all(constants.with_effects[:], with_effects, T, log_ratio)
+    state.tension = with_effects[NODES - 1] - plain[NODES - 1]
+
+
+@jit_compile
 def varies_friction(constants: DynamicConstants) -> bool:
     """Return whether a free function changes friction."""
     function = constants.function

@@ -65,14 +65,17 @@ def tighten_interval(
     q: float,
     sigma_mean: float,
     dt: float,
-) -> None:
+) -> float:
     """Cut the proved interval of T_out by how deep the motor end slides at least, in place.
 
     `T` [N] and `q` [m] are averages, `sigma_mean` [N] the noise of `T`.
 
     Over a window in which T_in went one way, dq_p >= G(a) dT_in says that at some time the front
     was at a or deeper. Noise in dT_in widens the bound.
+
+    Returns the side (-1 or rho) to which all of it slides where the profile was wrong; else 0.
     """
+    corrected_side = 0.0
     table = prepared.tables[:]
     state.window_age += dt
     dT, dq = T - state.window_tension, q - state.window_displacement
@@ -95,7 +98,7 @@ def tighten_interval(
         full = sure_q >= full_travel
         precise = abs(dq) > PRECISE_MARGINS * margin_q and abs(dT) > PRECISE_MARGINS * margin_T
         if not (full or precise or state.window_age > WINDOW_S):
-            return
+            return corrected_side
         margin = BOUND_SIGMAS * prepared.tension_noise
         T_min, T_max = max(T_min - margin, 0.0), T_max + margin
         depth = _find_sliding_depth(table, side, compliance)
@@ -113,12 +116,13 @@ def tighten_interval(
         T_out = read_profile(table, profile)[1]
         if full and not low <= T_out <= high:
             if sure_q < CORRECTION_RATIO * full_travel and state.window_age <= WINDOW_S:
-                return
+                return corrected_side
             if sure_q >= CORRECTION_RATIO * full_travel:
                 u = to_log_tension(table, state.held_tension)
                 drive_end(table, profile, u + side * table[_K], TIP)
-                state.tip_drives = False
+                state.tip_drives, corrected_side = False, side
                 anchor_window(prepared, state, state.held_tension, q)
         open_window(state, T, q)
     elif state.window_age > WINDOW_S:
         open_window(state, T, q)
+    return corrected_side

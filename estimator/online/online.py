@@ -29,7 +29,12 @@ from estimator.law import tables as _tables
 from estimator.law.play_profile import from_log_tension, push_proximal, to_log_tension
 from estimator.law.transmission import evaluate_tension, read_profile
 from estimator.online.driving_end import anchor_window, drive_profile
-from estimator.online.dynamic_correction import bound_function_error, update_correction
+from estimator.online.dynamic_correction import (
+    bound_function_error,
+    slide_tendons,
+    update_correction,
+    varies_friction,
+)
 from estimator.online.estimator_state import (
     BOUND_SIGMAS,
     TENSION_FLOOR,
@@ -244,7 +249,10 @@ def _advance_law(
         # first: a travel one sample late looks like a tip that moves
         update_correction(prepared.dynamics, state.dynamics, tension.held_mean, q, dt)
         effects_travel = state.dynamics.travel
-    status |= _update_profile(prepared, state, tension, q - effects_travel, dt)
+    profile_status, slid_side = _update_profile(prepared, state, tension, q - effects_travel, dt)
+    status |= profile_status
+    if with_dynamics is not None and slid_side != 0.0 and varies_friction(prepared.dynamics):
+        slide_tendons(prepared.dynamics, state.dynamics, tension.held_mean, slid_side)
     if not _is_initialised(table, state):
         status |= UNINITIALISED
     low, high = _compute_bounds(prepared, state, tension, T)
@@ -291,8 +299,12 @@ def _filter_tension(
 @jit_inline
 def _update_profile(
     prepared: PreparedTendon, state: EstimatorState, tension: _FilteredTension, q: float, dt: float
-) -> int:
-    """Drive the profile by whichever end moved; return the status bits of that."""
+) -> tuple[int, float]:
+    """Drive the profile by whichever end moved; return the status bits of that.
+
+    And the side to which all of the tendon is found to slide, as by `tighten_interval`.
+    """
+    slid_side = 0.0
     table, profile = prepared.tables[:], state.profile[:]
     mean, held, sigma_mean = tension.mean, tension.held_mean, tension.sigma
     if math.isnan(q):
@@ -300,7 +312,7 @@ def _update_profile(
         state.proved_low, state.proved_high = 0.0, math.inf
         state.held_tension = held
         push_proximal(table, profile, held)
-        return TENSION_ONLY
+        return TENSION_ONLY, slid_side
     if not state.has_displacement or tension.slack:
         push_proximal(table, profile, held)
         state.held_tension, state.mean_displacement = held, q
@@ -312,8 +324,8 @@ def _update_profile(
         mean_q = signals.update_average(state.mean_displacement, q, dt, prepared.time_constant)
         sure_T = tension.band + BOUND_SIGMAS * (sigma_mean + TENSION_FLOOR)
         drive_profile(prepared, state, held, mean_q, sure_T, dt)
-        tighten_interval(prepared, state, mean, mean_q, sigma_mean, dt)
-    return TIP_MOVED if state.tip_drives else 0
+        slid_side = tighten_interval(prepared, state, mean, mean_q, sigma_mean, dt)
+    return TIP_MOVED if state.tip_drives else 0, slid_side
 
 
 @jit_inline
