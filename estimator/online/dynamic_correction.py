@@ -82,7 +82,6 @@ class FunctionState(Struct):
     direction: F64 = 0.0  # of its last motion; 0 at rest
     rest_time: F64 = 0.0  # [s]
     value: F64 = 0.0
-    friction: F64 = 0.0  # [-] change of K by it, over K
 
 
 class DynamicConstants(Struct):
@@ -166,8 +165,7 @@ def update_correction(
         if constants.function.stretches:
             sample[0, lumped_model.STRETCH] = f
         else:
-            state.function.friction = max(f, FRICTION_SHARE_MIN - 1.0)
-            sample[0, lumped_model.FRICTION] *= 1.0 + state.function.friction
+            sample[0, lumped_model.FRICTION] *= max(1.0 + f, FRICTION_SHARE_MIN)
     sample[0, lumped_model.OFFSET] = state.tip_offset
     sample[0, lumped_model.COMPLIANCE] = state.tip_compliance
     effect_motion = lumped_model.advance(
@@ -237,7 +235,7 @@ def slide_tendons(constants: DynamicConstants, state: DynamicState, T: float, si
     log_ratio = side * constants.friction
     plain, with_effects = state.without_effects[:], state.with_effects[:]
     lumped_model.slide_all(constants.without_effects[:], plain, T, log_ratio)
-    log_ratio *= 1.0 + state.function.friction
+    log_ratio *= max(1.0 + state.function.value, FRICTION_SHARE_MIN)
     lumped_model.slide_all(constants.with_effects[:], with_effects, T, log_ratio)
     state.tension = with_effects[NODES - 1] - plain[NODES - 1]
 
@@ -327,7 +325,7 @@ def reset(constants: DynamicConstants, state: DynamicState) -> None:
     state.contact_displacements[:] = 0.0
     state.function.started = state.function.is_outside = False
     state.function.direction = state.function.rest_time = state.function.value = 0.0
-    state.function.speed = state.function.high_speed = state.function.friction = 0.0
+    state.function.speed = state.function.high_speed = 0.0
     at_rest = lumped_model.build_initial_state(constants.without_effects, 0.0, 0.0, 0.0)
     copy_values(at_rest, state.without_effects)
     at_rest = lumped_model.build_initial_state(constants.with_effects, 0.0, 0.0, 0.0)

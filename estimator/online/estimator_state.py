@@ -103,7 +103,6 @@ class EstimatorState(Struct):
     window_tension: F64 = 0.0  # [N]
     window_displacement: F64 = 0.0  # [m]
     window_age: F64 = 0.0  # [s]
-    window_friction: F64 = 0.0  # [-] `FunctionState.friction` there
     window_min: F64 = 0.0  # [N]
     window_max: F64 = 0.0  # [N]
 

@@ -54,7 +54,6 @@ def open_window(state: EstimatorState, T: float, q: float) -> None:
     """Begin a window of proof at (T [N], q [m])."""
     state.window_tension = state.window_min = state.window_max = T
     state.window_displacement, state.window_age = q, 0.0
-    state.window_friction = state.dynamics.function.friction
 
 
 @jit_compile
@@ -90,9 +89,7 @@ def tighten_interval(
         side = -1.0 if dq > 0.0 else table[_ASYMMETRY]
         sure_q = (abs(dq) - margin_q) * (1.0 - prepared.elongation_error)
         along = max(math.copysign(dT, dT * dq), 0.0)  # of dT, what slides the way the motor went
-        # where friction fell, T_in would have risen by so much more
-        friction_change = abs(state.dynamics.function.friction - state.window_friction)
-        sure_T = along + reversal + 2.0 * margin_T + T * math.expm1(table[_K] * friction_change)
+        sure_T = along + reversal + 2.0 * margin_T
         compliance = sure_q / sure_T
         full_travel = sure_T * integrate_exponential(table, table[_K], side) / table[_EA]
         full = sure_q >= full_travel

@@ -13,6 +13,7 @@ from estimator.lumped.lumped_model import Physics
 from estimator.online import dynamic_correction, online
 from estimator.online.dynamic_correction import FunctionConstants, FunctionState, FunctionVariable
 from estimator.online.extended_model import EffectUse, build_extended_model, explain_omission
+from estimator.online.tendon_estimate import TIP_MOVED
 from estimator.online.tendon_model import TendonModel
 from studies import hidden
 
@@ -34,7 +35,8 @@ def fitted(name, x, f):
 def built(data, pair):
     sheath = data.truth["sheath"]
     K, L, EA = (sheath[key] for key in ("K", "L", "EA"))
-    found = build_extended_model((K, L / EA, 0.0), [pair] if pair else [], SECONDS, L)
+    compliance = 1.0 / sheath["k"] if sheath["k"] else 0.0
+    found = build_extended_model((K, L / EA, compliance), [pair] if pair else [], SECONDS, L)
     noise = {"tension_noise": NOISE, "displacement_noise": STEP / math.sqrt(12.0)}
     return TendonModel(found.sheath, extension=found.extension, **noise), found
 
@@ -61,6 +63,15 @@ def test_the_force_is_right_with_the_function_and_inside_its_interval(name, seed
     assert rms_error(more, data) < 0.5 * rms_error(built(data, None)[0], data)
     found, tip = estimated(more, data), data.channels["distal_tension"]
     assert np.mean((found.low - 4 * NOISE <= tip) & (tip <= found.high + 4 * NOISE)) > 0.97
+
+
+@pytest.mark.parametrize(("seed", "bench"), [(512, "blocked"), (603, "spring")])
+def test_tension_that_falls_behind_a_rough_spot_is_no_motion_of_the_tip(seed, bench):
+    data = hidden.make(seed, "outside:rough_spot", bench=bench, duration=SECONDS, rate=100.0)
+    x = data.channels["proximal_displacement"]
+    more, _ = built(data, fitted("friction_by_position", x, data.friction - 1.0))
+    assert not (estimated(more, data).status & TIP_MOVED).any()
+    assert rms_error(more, data) < 0.5 * rms_error(built(data, None)[0], data)
 
 
 def test_beyond_the_range_that_was_seen_the_interval_is_wider():
