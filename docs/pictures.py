@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from studies.testbed import browser
-from studies.testbed.processes import free_ports
+from studies.testbed.processes import find_free_ports
 from teleop.cli import commands
 from teleop.config import loading
 from teleop.messages.messages import PROFILE_POINTS
@@ -84,7 +84,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="pictures-") as folder:
         runs = {name: recorded(name, Path(folder)) for name in ("demo", "arm")}
         animate(runs["demo"], IMAGES / "front.gif")
-        if browser.program() is None:
+        if browser.find_program() is None:
             print("no Chromium here: only the animation was made", file=sys.stderr)
             return 1
         for shot in SHOTS:
@@ -97,7 +97,7 @@ def recorded(name: str, folder: Path) -> Recorded:
     """Run a session for some seconds, and record it."""
     file = ROOT / "configs" / f"{name}.yaml"
     where = folder / name
-    master, slave = free_ports(2)
+    master, slave = find_free_ports(2)
     own = (f"session={name}-picture", *(f"link.{side}=127.0.0.1:{port}"
            for side, port in (("master", master), ("slave", slave))))  # fmt: skip
     words = [word for text in own for word in ("--set", text)]

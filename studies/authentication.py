@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from studies.testbed.command import measure_us, parse_options
-from studies.testbed.processes import DEMO_CONFIG, free_ports
+from studies.testbed.processes import DEMO_CONFIG, find_free_ports
 from teleop.link.reception import Reception
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import COMMAND, STATE, Role
@@ -99,9 +99,9 @@ def run_session(seconds: float, words: list[str]) -> dict[str, float]:
     """Run a session and return its figures."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run.json"
-        sides = zip(("master", "slave"), free_ports(2), strict=True)
+        sides = zip(("master", "slave"), find_free_ports(2), strict=True)
         ends = [f"--set=link.{side}=127.0.0.1:{port}" for side, port in sides]
-        before = processor_s()
+        before = read_children_s()
         subprocess.run(
             [sys.executable, "-m", "teleop", "run", "--config", str(DEMO_CONFIG), "--view", "none",
              "--duration", str(seconds), "--json", str(out), *ends, *words,
@@ -110,7 +110,7 @@ def run_session(seconds: float, words: list[str]) -> dict[str, float]:
             check=True, stdout=subprocess.DEVNULL,
         )  # fmt: skip
         summary = json.loads(out.read_text())
-        used = processor_s() - before
+        used = read_children_s() - before
     master, slave = summary["master"], summary["slave"]
     return {
         "command to force p50 [ms]": master["latency_ms"]["p50"],
@@ -121,7 +121,7 @@ def run_session(seconds: float, words: list[str]) -> dict[str, float]:
     }
 
 
-def processor_s() -> float:
+def read_children_s() -> float:
     """Return the processor time of all children that have ended [s]."""
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime

@@ -10,7 +10,7 @@ import time
 import numpy as np
 
 from studies.testbed.command import parse_options
-from studies.testbed.processes import free_ports, tell_proxy
+from studies.testbed.processes import find_free_ports, tell_proxy
 from teleop.link import Link, LinkConfig
 from teleop.messages.messages import Command
 from teleop.messages.topics import COMMAND, Role
@@ -42,7 +42,7 @@ def measure_latencies(
 
 def main() -> None:
     parse_options(__doc__)
-    a, b, c = (f"127.0.0.1:{port}" for port in free_ports(3))
+    a, b, c = (f"127.0.0.1:{port}" for port in find_free_ports(3))
     shared, config = LinkConfig(master=a, slave=b), LinkConfig(master=a, slave=c)
     print("Added by the proxy, over what was asked for [ms]; one message a millisecond")
     direct = measure_latencies(shared, shared, 0.0, proxied=False) * 1e3

@@ -16,7 +16,7 @@ from collections import Counter
 from pathlib import Path
 
 from studies.testbed.command import parse_options
-from studies.testbed.processes import free_ports, resident_mb
+from studies.testbed.processes import find_free_ports, read_memory_mb
 from teleop.link import Link, LinkConfig
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS, Role
 from teleop.runtime.child_process import end_process, start_module
@@ -44,7 +44,7 @@ def main() -> None:
         seconds=(1.0, "that each stop lasts"),
     )
     program = "impair" if args.proxy else "record"
-    a, b, c = (f"127.0.0.1:{port}" for port in free_ports(3))
+    a, b, c = (f"127.0.0.1:{port}" for port in find_free_ports(3))
     shared = LinkConfig(master=a, slave=b)
     words = [f"session={SESSION}", f"link.master={a}", f"link.slave={b}"]
     published: Counter[str] = Counter()
@@ -69,13 +69,13 @@ def main() -> None:
                 thread = threading.Thread(target=publish, args=(slave, master, published, stopping))
                 thread.start()
                 time.sleep(3.0)
-                sizes = [resident_mb(process.pid)]
+                sizes = [read_memory_mb(process.pid)]
                 for _ in range(args.stops):
                     process.send_signal(signal.SIGSTOP)
                     time.sleep(args.seconds)
                     process.send_signal(signal.SIGCONT)
                     time.sleep(1.0)
-                    sizes.append(resident_mb(process.pid))
+                    sizes.append(read_memory_mb(process.pid))
                 stopping.set()
                 thread.join()
                 time.sleep(0.5)

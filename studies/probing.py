@@ -29,7 +29,7 @@ from slave.samples import estimate, to_sample_rows
 from slave.sheath_section import SectionConfig
 from slave.simulation.environment import TissueConfig
 from studies.testbed.command import parse_options
-from studies.testbed.control_bench import MU, joint, model
+from studies.testbed.control_bench import MU, build_joint, build_model
 from teleop.messages.messages import Command, SlaveState, pad_values
 from teleop.messages.packet import Packet
 from teleop.session.state_machine import State
@@ -64,13 +64,13 @@ class Rest(NamedTuple):
     error: float  # of T_out, by the monitor of the loaded tendon
 
 
-def press(time: float, depth: float) -> float:
+def compute_press(time: float, depth: float) -> float:
     """Return the commanded travel [m] of a hand that presses to `depth` beyond contact."""
     share = min(max((time - ENGAGED_S) / (PRESSED_S - ENGAGED_S), 0.0), 1.0)
     return (CONTACT + depth) * 0.5 * (1.0 - cos(pi * share))
 
 
-def rest(drawn: RandomJoint, seed: int = 1, seconds: float = PROBED_S) -> Rest:
+def run_rest(drawn: RandomJoint, seed: int = 1, seconds: float = PROBED_S) -> Rest:
     """Let the slave press a joint into tissue and probe while it rests."""
     config = SlaveConfig(SimulatedRigConfig(joints=(drawn.plant,), seed=seed), **SETTINGS)
     rig = SimulatedRig(config.rig)
@@ -81,7 +81,7 @@ def rest(drawn: RandomJoint, seed: int = 1, seconds: float = PROBED_S) -> Rest:
     rows, K = [], []
     for k in range(round((PRESSED_S + seconds) / DT)):
         time, samples = k * DT, rig.read(k * DT)
-        now, ahead = press(time, drawn.depth), press(time + DT, drawn.depth)
+        now, ahead = compute_press(time, drawn.depth), compute_press(time + DT, drawn.depth)
         engaged = State.ENGAGED if time > ENGAGED_S else State.READY
         position, velocity = pad_values((now,), 8), pad_values(((ahead - now) / DT,), 8)
         command.fill(Command(state=engaged, position=position, velocity=velocity))
@@ -101,7 +101,7 @@ def rest(drawn: RandomJoint, seed: int = 1, seconds: float = PROBED_S) -> Rest:
     return Rest(K, tip, probed, states, float(memory.monitors[0].force_error))
 
 
-def draw(rng: np.random.Generator, tendons: int, third: int | None = None) -> RandomJoint:
+def draw_joint(rng: np.random.Generator, tendons: int, third: int | None = None) -> RandomJoint:
     """Return a random joint; friction is wrong all along, or in one third of K."""
     K_model, factor = rng.uniform(0.5, 1.5), rng.uniform(0.7, 1.4)
     depth, tension = rng.uniform(0.002, 0.004), rng.uniform(5.0, 15.0)
@@ -110,11 +110,11 @@ def draw(rng: np.random.Generator, tendons: int, third: int | None = None) -> Ra
     K = K_model * float(np.mean(factors))
     tissue = TissueConfig(position=CONTACT, stiffness=tension * exp(-K) / depth**1.5)
     noise, slack = rng.uniform(0.005, 0.02), {1: 2.0, 2: 0.5}[tendons]
-    plant = joint(
+    plant = build_joint(
         K, 300.0 if tendons == 1 else 0.0, tissue, tendons, noise, pretension=slack,
         sections=sections, nodes=40,
     )  # fmt: skip
-    wrong = model(plant.tendons[0], slack, K_model / K, 1.0)
+    wrong = build_model(plant.tendons[0], slack, K_model / K, 1.0)
     return RandomJoint(plant, [wrong] * tendons, K, K_model, depth)
 
 
@@ -130,8 +130,8 @@ def main() -> None:
     for seed in range(options.first, options.first + options.sheaths):
         for tendons, rows in results.items():
             rng = np.random.default_rng(seed)
-            drawn = draw(rng, tendons, seed % 3 if options.uneven else None)
-            found = rest(drawn, seed)
+            drawn = draw_joint(rng, tendons, seed % 3 if options.uneven else None)
+            found = run_rest(drawn, seed)
             error = np.median(found.K) / drawn.K - 1.0 if len(found.K) else np.nan
             probes = np.split(np.arange(len(found.tip)), np.flatnonzero(np.diff(found.probed)) + 1)
             during = [np.ptp(found.tip[ticks]) for ticks in probes if found.probed[ticks[0]]]

@@ -17,7 +17,7 @@ import zenoh
 
 from studies.testbed.command import parse_options
 from studies.testbed.observed import ObservedSession
-from studies.testbed.processes import START_S, free_ports, processor_s
+from studies.testbed.processes import START_S, find_free_ports, read_processor_s
 from teleop.launch.supervisor import wait_for_condition
 from teleop.runtime.child_process import end_process, start_module
 from teleop.runtime.clock import now_ns
@@ -47,17 +47,17 @@ def main() -> None:
 
 def measure_rate(session: ObservedSession, rate_hz: int) -> None:
     """Measure the session beside `teleop ros`, and print what that cost and what arrived."""
-    router, counts = f"tcp/127.0.0.1:{free_ports(1)[0]}", session.folder / "counts.json"
+    router, counts = f"tcp/127.0.0.1:{find_free_ports(1)[0]}", session.folder / "counts.json"
     counts.unlink(missing_ok=True)
     node = start_module("studies.ros", NODE, router, str(counts), is_supervised=True)
     settings = (f"ros.router={router}", f"ros.rate_hz={rate_hz}")
     shown = session.start("ros", *(word for text in settings for word in ("--set", text)))
     try:
-        if not wait_for_condition(lambda: arrived(counts) > MESSAGES_MIN, START_S):
+        if not wait_for_condition(lambda: count_arrived(counts) > MESSAGES_MIN, START_S):
             raise SystemExit(f"nothing arrived at the ROS node\n{session.outputs()}")
-        before, at_s = processor_s(shown.pid), time.monotonic()
+        before, at_s = read_processor_s(shown.pid), time.monotonic()
         session.measure(f"{rate_hz} Hz", SETTLE_S)
-        used = (processor_s(shown.pid) - before) / (time.monotonic() - at_s)
+        used = (read_processor_s(shown.pid) - before) / (time.monotonic() - at_s)
         session.stop("ros")
     finally:
         end_process(node, 10.0)
@@ -69,7 +69,7 @@ def measure_rate(session: ObservedSession, rate_hz: int) -> None:
     )
 
 
-def arrived(counts: Path) -> int:
+def count_arrived(counts: Path) -> int:
     """Return how many messages the node has counted."""
     return int(json.loads(counts.read_text())["messages"]) if counts.exists() else 0
 

@@ -32,7 +32,7 @@ import numpy as np
 import zenoh
 
 from studies.testbed.command import parse_options
-from studies.testbed.processes import free_ports, processor_s
+from studies.testbed.processes import find_free_ports, read_processor_s
 from teleop.link.network import declare_publisher, open_session
 from teleop.messages.messages import Command, SlaveState
 from teleop.runtime.child_process import start_module
@@ -51,12 +51,12 @@ FAN_OUT = (0, 2, 4, 8)  # listeners of one session
 _STAMP = 8  # bytes, of the clock at the master
 
 
-def name_of(number: int) -> str:
+def build_name(number: int) -> str:
     """Return the name of a session."""
     return f"scale-{number}"
 
 
-def protection(role: CertificateRole, insecure: bool, sessions: list[str]) -> tuple[Any, Any]:
+def prepare_security(role: CertificateRole, insecure: bool, sessions: list[str]) -> tuple[Any, Any]:
     """Return the credentials and the access control of a process."""
     if insecure:
         return None, None
@@ -77,17 +77,17 @@ class Side:
             else:
                 slave = plan["slaves"][number]
                 ends = ([slave], []) if listens else ([], [slave])
-            keys, access = protection(role, plan["insecure"], [name_of(number)])
+            keys, access = prepare_security(role, plan["insecure"], [build_name(number)])
             self.sessions.append(open_session(keys, *ends, access, mode))
 
     def subscribe(self, topic: str, number: int, store: Callable[[Any], None]) -> None:
         """Receive a topic of one session."""
         direct = zenoh.handlers.Callback(store, indirect=False)
-        self.sessions[number].declare_subscriber(f"teleop/{name_of(number)}/{topic}", direct)
+        self.sessions[number].declare_subscriber(f"teleop/{build_name(number)}/{topic}", direct)
 
     def publisher(self, topic: str, number: int) -> Any:
         """Return the publisher of a topic of one session."""
-        key = f"teleop/{name_of(number)}/{topic}"
+        key = f"teleop/{build_name(number)}/{topic}"
         return declare_publisher(self.sessions[number], key, live=True, patient=False)
 
 
@@ -107,13 +107,13 @@ def run_slaves(plan: dict[str, Any]) -> None:
 
 def run_listeners(plan: dict[str, Any]) -> None:
     """Receive commands and states of session 0, several times."""
-    keys, access = protection(CertificateRole.VIEWER, plan["insecure"], [name_of(0)])
+    keys, access = prepare_security(CertificateRole.VIEWER, plan["insecure"], [build_name(0)])
     router = [plan["router"]]
     sessions = [open_session(keys, [], router, access, "client") for _ in range(plan["listeners"])]
     for session in sessions:
         for topic in SIZES:
             direct = zenoh.handlers.Callback(lambda _: None, indirect=False)
-            session.declare_subscriber(f"teleop/{name_of(0)}/{topic}", direct)
+            session.declare_subscriber(f"teleop/{build_name(0)}/{topic}", direct)
     print("ready", flush=True)
     sys.stdin.read()
 
@@ -139,11 +139,11 @@ def run_masters(plan: dict[str, Any]) -> None:
             put(_command())
         time.sleep(0.05)
     gc.disable()
-    send(puts, 1.0)  # warm up
+    send_commands(puts, 1.0)  # warm up
     for trip in trips:
         trip.clear()
     print("begin", flush=True)
-    seconds = send(puts, plan["seconds"])
+    seconds = send_commands(puts, plan["seconds"])
     print("end", flush=True)
     time.sleep(0.1)
     rates = [len(trip) / seconds for trip in trips]
@@ -151,7 +151,7 @@ def run_masters(plan: dict[str, Any]) -> None:
     print(json.dumps({"delivered_hz": min(rates), "p50_ms": p50, "p99_ms": p99}), flush=True)
 
 
-def send(puts: list[Callable[[bytes], None]], seconds: float) -> float:
+def send_commands(puts: list[Callable[[bytes], None]], seconds: float) -> float:
     """Send on all sessions, each once a millisecond; return the time that it took [s]."""
     phases = [puts[phase::PHASES] for phase in range(PHASES)]
     begin = due = time.monotonic_ns()
@@ -171,8 +171,8 @@ def _command() -> bytes:
 
 def run_router(plan: dict[str, Any]) -> None:
     """Run a router as `teleop router` does."""
-    names = [name_of(number) for number in range(plan["most"])]
-    keys, access = protection(CertificateRole.ROUTER, plan["insecure"], names)
+    names = [build_name(number) for number in range(plan["most"])]
+    keys, access = prepare_security(CertificateRole.ROUTER, plan["insecure"], names)
     with open_session(keys, [plan["router"]], [], access, "router"):
         print("ready", flush=True)
         sys.stdin.read()
@@ -212,10 +212,10 @@ class Part:
 
     def cpu_s(self) -> float:
         """Return the processor time so far [s]."""
-        return processor_s(self.process.pid)
+        return read_processor_s(self.process.pid)
 
 
-def measure(plan: dict[str, Any], router: Part | None) -> dict[str, Any]:
+def measure_sessions(plan: dict[str, Any], router: Part | None) -> dict[str, Any]:
     """Measure one number of sessions, through a router or directly."""
     listeners = plan["listeners"]
     with Part("slaves", plan) as slaves:
@@ -248,7 +248,7 @@ def measure(plan: dict[str, Any], router: Part | None) -> dict[str, Any]:
     }
 
 
-def show(row: dict[str, Any]) -> None:
+def print_row(row: dict[str, Any]) -> None:
     router = "" if row["way"] == "direct" else (
         f"{row['router_cores']:6.2f} {row['router_us_per_message']:7.1f}"
     )  # fmt: skip
@@ -259,9 +259,9 @@ def show(row: dict[str, Any]) -> None:
     )
 
 
-def campaign(sessions: list[int], seconds: float, insecure: bool) -> list[dict[str, Any]]:
+def measure_all(sessions: list[int], seconds: float, insecure: bool) -> list[dict[str, Any]]:
     """Measure all numbers of sessions both ways, then the fan-out of one session."""
-    (port,) = free_ports(1)
+    (port,) = find_free_ports(1)
     routed = {
         "router": f"127.0.0.1:{port}",
         "most": max(sessions),
@@ -274,17 +274,17 @@ def campaign(sessions: list[int], seconds: float, insecure: bool) -> list[dict[s
         router.line()
         for count in sessions:
             plan = routed | {"sessions": count, "listeners": 0}
-            slaves = [f"127.0.0.1:{port}" for port in free_ports(count)]
+            slaves = [f"127.0.0.1:{port}" for port in find_free_ports(count)]
             for config, via in ((plan | {"router": "", "slaves": slaves}, None), (plan, router)):
-                rows.append(measure(config, via))
-                show(rows[-1])
+                rows.append(measure_sessions(config, via))
+                print_row(rows[-1])
         for listeners in FAN_OUT[1:]:
-            rows.append(measure(routed | {"sessions": 1, "listeners": listeners}, router))
-            show(rows[-1])
+            rows.append(measure_sessions(routed | {"sessions": 1, "listeners": listeners}, router))
+            print_row(rows[-1])
     return rows
 
 
-def machine() -> dict[str, Any]:
+def describe_machine() -> dict[str, Any]:
     """Return what the figures hold for."""
     lines = Path("/proc/cpuinfo").read_text().splitlines()
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
@@ -312,9 +312,9 @@ def main() -> None:
         out=(Path, "write the rows as JSON to this file"),
         insecure=(False, "plaintext, without TLS"),
     )
-    facts = {"machine": machine(), "bytes": SIZES, "tls": not args.insecure}
+    facts = {"machine": describe_machine(), "bytes": SIZES, "tls": not args.insecure}
     print(json.dumps(facts))
-    rows = campaign(args.sessions, args.seconds, args.insecure)
+    rows = measure_all(args.sessions, args.seconds, args.insecure)
     if args.out:
         args.out.write_text(json.dumps(facts | {"rows": rows}, indent=2) + "\n")
 

@@ -49,7 +49,7 @@ class Written:
     must_be_refused: bool = False
 
 
-def move(rng: Generator, time: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+def draw_motion(rng: Generator, time: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
     """Return a pull and release at a speed of tendons."""
     speed = rng.uniform(0.005, 0.2)  # [m/s]
     travel = rng.uniform(-0.01, 0.01) + speed / (2 * np.pi * 0.9) * np.sin(2 * np.pi * 0.9 * time)
@@ -57,21 +57,21 @@ def move(rng: Generator, time: NDArray[np.float64]) -> dict[str, NDArray[np.floa
     return dict(zip(CHANNELS, (time, tension, travel), strict=True))
 
 
-def move_often(rng: Generator) -> tuple[dict[str, NDArray[np.float64]], int, str]:
+def draw_runs(rng: Generator) -> tuple[dict[str, NDArray[np.float64]], int, str]:
     """Return the samples of one run or several, how many runs, and what separates them."""
     rate = float(rng.choice([10, 20, 50, 100, 500, 1000, 2000, 5000]))
     count = int(rng.integers(2, 4)) if rng.random() < 0.2 else 1
     divided = str(rng.choice(["time", "names", "column"])) if count > 1 else ""
     restarts = divided == "time" or rng.random() < 0.5
-    runs = [move(rng, np.arange(ROWS) / rate) for _ in range(count)]
+    runs = [draw_motion(rng, np.arange(ROWS) / rate) for _ in range(count)]
     for k, run in enumerate(runs):
         run["time"] += 0.0 if restarts else k * (ROWS + int(rng.integers(0, 9))) / rate
     return {c: np.concatenate([run[c] for run in runs]) for c in CHANNELS}, count, divided
 
 
-def write(rng: Generator) -> Written:
+def write_table(rng: Generator) -> Written:
     """Return a random table."""
-    values, count, divided = move_often(rng)
+    values, count, divided = draw_runs(rng)
     rows = len(values["time"])
     separator = str(rng.choice([",", ";", "\t", "|", "  "]))
     decimal = "," if separator != "," and rng.random() < 0.4 else "."
@@ -117,7 +117,7 @@ def write(rng: Generator) -> Written:
         written.columns = tuple(f"{k}={n}" for k, n in names.items())
     order = [str(each) for each in rng.permutation(CHANNELS)]
     body = [[cells[name][row] for name in order] for row in range(rows)]
-    head = [[decorate(rng, names[name]) for name in order]]
+    head = [[decorate_name(rng, names[name]) for name in order]]
     if style == "row":
         head.append([f"[{units[n]}]" if rng.random() < 0.3 else units[n] for n in order])
     if rng.random() < 0.4:  # columns that nobody asked for
@@ -136,7 +136,7 @@ def write(rng: Generator) -> Written:
     if divided == "names":
         parts = [body[k : k + ROWS] for k in range(ROWS, rows, ROWS)]
         body = [*body[:ROWS], *(row for part in parts for row in (*head, *part))]
-    written.data = assemble(rng, head, body, separator)
+    written.data = assemble_file(rng, head, body, separator)
     return written
 
 
@@ -177,13 +177,15 @@ def build_names(rng: Generator, style: str, units: dict[str, str]) -> dict[str, 
     return names
 
 
-def decorate(rng: Generator, name: str) -> str:
+def decorate_name(rng: Generator, name: str) -> str:
     """Return a name with what programs put around it."""
     marks = ["{}", "{}", "{}", " {}", "{} ", "\u00a0{}", '"{}"']
     return str(rng.choice(marks)).format(name)
 
 
-def assemble(rng: Generator, head: list[list[str]], body: list[list[str]], separator: str) -> bytes:
+def assemble_file(
+    rng: Generator, head: list[list[str]], body: list[list[str]], separator: str
+) -> bytes:
     """Return the bytes of a file."""
     quoted = rng.random() < 0.15
 
@@ -230,7 +232,7 @@ def assemble(rng: Generator, head: list[list[str]], body: list[list[str]], separ
     return (text.replace("−", "-") if encoding == "latin-1" else text).encode(encoding)
 
 
-def judge(written: Written, path: Path) -> tuple[str, str]:
+def judge_table(written: Written, path: Path) -> tuple[str, str]:
     """Return "read", "refused" or "wrong", and why."""
     path.write_bytes(written.data)
     try:
@@ -256,14 +258,14 @@ def judge(written: Written, path: Path) -> tuple[str, str]:
     return "read", ""
 
 
-def run(count: int, seed: int) -> tuple[Counter[str], list[tuple[int, str, str]]]:
+def read_tables(count: int, seed: int) -> tuple[Counter[str], list[tuple[int, str, str]]]:
     """Return how many were read, refused and wrong, and seed and reason of all but those read."""
     outcomes: Counter[str] = Counter()
     notes = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "x.csv"
         for number in range(seed, seed + count):
-            outcome, why = judge(write(np.random.default_rng(number)), path)
+            outcome, why = judge_table(write_table(np.random.default_rng(number)), path)
             outcomes[outcome] += 1
             if outcome != "read":
                 notes.append((number, outcome, why))
@@ -275,7 +277,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    outcomes, notes = run(args.count, args.seed)
+    outcomes, notes = read_tables(args.count, args.seed)
     print(", ".join(f"{n} {outcome}" for outcome, n in outcomes.most_common()))
     reasons: dict[tuple[str, str], list[int]] = {}
     for number, outcome, why in notes:

@@ -28,7 +28,14 @@ from slave.rigs.simulated import JointConfig
 from slave.sheath_section import SectionConfig
 from slave.tendons import EstimatedTendon, RigLayout, build_rig_layout
 from studies.testbed.command import measure_us, parse_options
-from studies.testbed.control_bench import DT, Command, follow, joint, sine, staircase
+from studies.testbed.control_bench import (
+    DT,
+    Command,
+    build_joint,
+    build_sine,
+    build_stairs,
+    follow,
+)
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 
 SHEATH = Sheath.uniform(1.0, 1.5, 9000.0)
@@ -43,10 +50,10 @@ class Motion(NamedTuple):
 
 
 MOTIONS = {
-    "sine, 6 mm, 0.25 Hz": Motion(sine(0.006, 0.25), 5.0),
-    "staircase, 5 mm/s": Motion(staircase(STEPS, 0.005, 0.4), 8.0),
-    "staircase, 10 mm/s": Motion(staircase(STEPS, 0.010, 0.4), 5.0),
-    "sine, 6 mm, 1 Hz": Motion(sine(0.006, 1.0), 3.0),
+    "sine, 6 mm, 0.25 Hz": Motion(build_sine(0.006, 0.25), 5.0),
+    "staircase, 5 mm/s": Motion(build_stairs(STEPS, 0.005, 0.4), 8.0),
+    "staircase, 10 mm/s": Motion(build_stairs(STEPS, 0.010, 0.4), 5.0),
+    "sine, 6 mm, 1 Hz": Motion(build_sine(0.006, 1.0), 3.0),
 }
 STAIRS = MOTIONS["staircase, 5 mm/s"]
 ERRORS = ((1.02, 1.03), (0.98, 0.97))
@@ -57,7 +64,7 @@ BENDS = {
 
 
 def build_loaded(K: float, **settings: float) -> JointConfig:
-    return joint(K, spring=900.0 * math.exp(-K), nodes=40, **settings)
+    return build_joint(K, spring=900.0 * math.exp(-K), nodes=40, **settings)
 
 
 def find_worst(
@@ -185,18 +192,22 @@ def main() -> None:
         slack_side_tension=0.15,
     )
     for name, sections in BENDS.items():
-        bent = joint(1.0, 330.0, sections=sections, nodes=40)
+        bent = build_joint(1.0, 330.0, sections=sections, nodes=40)
         print_comparison(f"staircase, {name}", [bent], [STAIRS])
-    alone = joint(0.4, 600.0, tendons=1, pretension=2.0, nodes=40)
+    alone = build_joint(0.4, 600.0, tendons=1, pretension=2.0, nodes=40)
     print_comparison(
-        "staircase, one tendon, K = 0.4", [alone], [Motion(staircase(STEPS[:4], 0.005, 0.4), 5.0)]
+        "staircase, one tendon, K = 0.4",
+        [alone],
+        [Motion(build_stairs(STEPS[:4], 0.005, 0.4), 5.0)],
     )
     arm = [build_loaded(K) for K in (0.4, 0.8, 1.2, 1.6)]
     shares = (1.0, 0.8, -0.9, 0.7)
     stairs = [tuple(share * level for level in STEPS) for share in shares]
-    print_comparison("four, stairs", arm, [Motion(staircase(s, 0.005, 0.4), 8.0) for s in stairs])
     print_comparison(
-        "four, sines", arm, [Motion(sine(0.006, f), 5.0) for f in (0.25, 0.3, 0.2, 0.35)]
+        "four, stairs", arm, [Motion(build_stairs(s, 0.005, 0.4), 8.0) for s in stairs]
+    )
+    print_comparison(
+        "four, sines", arm, [Motion(build_sine(0.006, f), 5.0) for f in (0.25, 0.3, 0.2, 0.35)]
     )
     print_variation("g, staircase", "compensation", (0.0, 0.5, 0.8, 0.9, 0.95, 0.98), STAIRS)
     print_variation(

@@ -30,7 +30,13 @@ import numpy as np
 from studies.testbed import browser
 from studies.testbed.command import parse_options
 from studies.testbed.observed import ObservedSession
-from studies.testbed.processes import DEMO_CONFIG, START_S, Processes, processor_s, resident_mb
+from studies.testbed.processes import (
+    DEMO_CONFIG,
+    START_S,
+    Processes,
+    read_memory_mb,
+    read_processor_s,
+)
 from teleop.config import loading
 from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.topics import TOPICS
@@ -58,7 +64,7 @@ def main() -> None:
         live=(Path, "measure the view that `teleop run` starts with this config"),
     )
     if options.recording:
-        hour(options.recording, options.minutes)
+        measure_hour(options.recording, options.minutes)
         return
     with tempfile.TemporaryDirectory(prefix="view-benchmark-") as folder:
         if options.live:
@@ -66,7 +72,7 @@ def main() -> None:
             return
         session = measure_states(Path(folder), options.seconds, options.rounds)
         session.report("viewer")
-        hour(session.recording(), options.minutes)
+        measure_hour(session.recording(), options.minutes)
 
 
 def measure_states(folder: Path, seconds: float, rounds: int) -> ObservedSession:
@@ -78,8 +84,8 @@ def measure_states(folder: Path, seconds: float, rounds: int) -> ObservedSession
             viewer = session.start("view", "--view", "web")
             address = session.wait_for_line("view", WEB_VIEW).removeprefix(WEB_VIEW)
             session.measure("on", 2 * SETTLE_S)
-            if browser.program() is not None:
-                look(f"{address}?renderer=webgl", session)
+            if browser.find_program() is not None:
+                measure_page(f"{address}?renderer=webgl", session)
             viewer.send_signal(signal.SIGSTOP)
             session.measure("stopped", SETTLE_S)
             viewer.kill()
@@ -88,7 +94,7 @@ def measure_states(folder: Path, seconds: float, rounds: int) -> ObservedSession
     return session
 
 
-def look(address: str, session: ObservedSession) -> None:
+def measure_page(address: str, session: ObservedSession) -> None:
     """Open the page and load it again; each is measured from its first moment on."""
     with browser.Browser() as page:
         os.setpriority(os.PRIO_PGRP, page.pid, 19)
@@ -97,7 +103,7 @@ def look(address: str, session: ObservedSession) -> None:
             session.measure(state, 0.0)
 
 
-def hour(recording: Path, minutes: float) -> None:
+def measure_hour(recording: Path, minutes: float) -> None:
     """Print memory and file size over an hour of messages."""
     view = loading.load(DEMO_CONFIG, ViewConfig, "view")
     with tempfile.TemporaryDirectory() as folder:
@@ -105,14 +111,16 @@ def hour(recording: Path, minutes: float) -> None:
         with Sink("web", view, "hour", file, live=True) as sink, ExitStack() as stack:
             if sink.stream is None:
                 raise RuntimeError("a web view has a stream")
-            page = None if browser.program() is None else stack.enter_context(browser.Browser())
+            page = (
+                None if browser.find_program() is None else stack.enter_context(browser.Browser())
+            )
             if page is not None:
                 os.setpriority(os.PRIO_PGRP, page.pid, 19)
                 page.open(sink.lines[0].removeprefix(WEB_VIEW) + "?renderer=webgl")
             scene = Scene(view, sink.stream, sink.lay_out)
             begin, moments = time.monotonic(), list(SAID_MIN)
             print(f"view.server_memory_mb {view.server_memory_mb}; resident memory:")
-            for passed_s, batch in looped(recording, 1 / view.curves_hz):
+            for passed_s, batch in repeat_recording(recording, 1 / view.curves_hz):
                 if passed_s > 60 * minutes:
                     break
                 scene.draw_pictures(batch)
@@ -122,29 +130,31 @@ def hour(recording: Path, minutes: float) -> None:
                     minute, size = moments.pop(0), file.stat().st_size / 1e6
                     speed = passed_s / (time.monotonic() - begin)
                     print(
-                        f"{minute:3} min: view {resident_mb(os.getpid()):4.0f} MB, "
-                        f"page {page_memory_mb(page):4.0f} MB; "
+                        f"{minute:3} min: view {read_memory_mb(os.getpid()):4.0f} MB, "
+                        f"page {read_page_mb(page):4.0f} MB; "
                         f"file {size:6.1f} MB, "
                         f"{size / max(minute, 1):.1f} MB a minute; {speed:.1f} times real time",
                         flush=True,
                     )
-        size_of_blocks(recording, view, Path(folder) / "minute.rrd")
+        measure_file_size(recording, view, Path(folder) / "minute.rrd")
 
 
-def size_of_blocks(recording: Path, view: ViewConfig, file: Path) -> None:
+def measure_file_size(recording: Path, view: ViewConfig, file: Path) -> None:
     """Print the size of a minute when only a file is written."""
     with Sink("rrd", view, "minute", file, live=True) as sink:
         if sink.stream is None:
             raise RuntimeError("a file has a stream")
         scene = Scene(view, sink.stream, sink.lay_out)
-        for passed_s, batch in looped(recording, view.file_period_s):
+        for passed_s, batch in repeat_recording(recording, view.file_period_s):
             scene.send(batch)
             if passed_s >= 60:
                 break
     print(f"--view rrd: {file.stat().st_size / 1e6:.1f} MB a minute")
 
 
-def looped(recording: Path, period_s: float) -> Iterator[tuple[float, dict[AnyTopic, Rows]]]:
+def repeat_recording(
+    recording: Path, period_s: float
+) -> Iterator[tuple[float, dict[AnyTopic, Rows]]]:
     """Yield an hour in batches of `period_s`: ten seconds of a recording again and again."""
     by_name = {topic.name: topic for topic in TOPICS}
     end_ns = open_recording(recording).last_ns
@@ -181,8 +191,8 @@ def measure_live(folder: Path, file: Path, seconds: float) -> None:
             if not wait_for_condition(lambda: session.engaged(link), START_S):
                 raise SystemExit("the session did not engage")
         time.sleep(5 * SETTLE_S)  # the periods settle
-        views = [pid for pid in children(launcher.pid) if b"\0view\0" in command_of(pid)]
-        before, begin = [processor_s(pid) for pid in views], time.monotonic()
+        views = [pid for pid in list_children(launcher.pid) if b"\0view\0" in read_words(pid)]
+        before, begin = [read_processor_s(pid) for pid in views], time.monotonic()
         time.sleep(seconds)
         passed = time.monotonic() - begin
         load = os.getloadavg()[0]
@@ -190,38 +200,38 @@ def measure_live(folder: Path, file: Path, seconds: float) -> None:
         for pid, earlier in zip(views, before, strict=True):
             spare = STANDBY_VARIABLE.encode() in Path(f"/proc/{pid}/environ").read_bytes()
             name = "its spare" if spare else "view"
-            share = (processor_s(pid) - earlier) / passed
-            print(f"{name:14} {share:5.2f} {resident_mb(pid):6.0f} {own_memory_mb(pid):6.0f}")
+            share = (read_processor_s(pid) - earlier) / passed
+            print(f"{name:14} {share:5.2f} {read_memory_mb(pid):6.0f} {read_private_mb(pid):6.0f}")
         session.stop("run")
 
 
-def children(parent: int) -> list[int]:
+def list_children(parent: int) -> list[int]:
     """Return the process ids of a process's children."""
     files = Path(f"/proc/{parent}/task").glob("*/children")
     return [int(pid) for file in files for pid in file.read_text().split()]
 
 
-def command_of(pid: int) -> bytes:
+def read_words(pid: int) -> bytes:
     return Path(f"/proc/{pid}/cmdline").read_bytes()
 
 
-def own_memory_mb(pid: int) -> float:
+def read_private_mb(pid: int) -> float:
     """Return the memory that a process shares with no other [MB]."""
     lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
     return sum(int(line.split()[1]) for line in lines if line.startswith("Private_")) / 1e3
 
 
-def page_memory_mb(page: browser.Browser | None) -> float:
+def read_page_mb(page: browser.Browser | None) -> float:
     """Return the resident memory of the largest process that draws pages [MB]; NaN if none."""
     if page is None:
         return math.nan
-    drawing = [pid for pid in descendants(page.pid) if b"--type=renderer" in command_of(pid)]
-    return max(map(resident_mb, drawing), default=math.nan)
+    drawing = [pid for pid in list_descendants(page.pid) if b"--type=renderer" in read_words(pid)]
+    return max(map(read_memory_mb, drawing), default=math.nan)
 
 
-def descendants(parent: int) -> list[int]:
+def list_descendants(parent: int) -> list[int]:
     """Return the process ids of a process's children, of theirs, and so on."""
-    return [pid for child in children(parent) for pid in (child, *descendants(child))]
+    return [pid for child in list_children(parent) for pid in (child, *list_descendants(child))]
 
 
 if __name__ == "__main__":

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.faults.judge import CampaignResult, judge
-from studies.faults.session import PLAN, Fault, FaultSession, inject, may_end_engagement
+from studies.faults.judge import CampaignResult, judge_recordings
+from studies.faults.session import PLAN, Fault, FaultSession, inject_fault, may_end_engagement
 from studies.testbed.processes import DEMO_CONFIG, pause
 
 FAULTS = "faults.json"
@@ -27,7 +27,7 @@ SLAVE_S, MASTER_S = 0.030, 0.050  # [s] after the last fresh message
 AFTERMATH_S = 4.0  # [s] in which messages that a fault lost may hold a later engagement
 
 
-def harm(bench: FaultSession, plan: list[tuple[str, str]], rng: np.random.Generator):
+def inject_faults(bench: FaultSession, plan: list[tuple[str, str]], rng: np.random.Generator):
     """Inject the faults of a plan, each into a session that is engaged; return them."""
     faults: list[Fault] = []
     for number, (kind, target) in enumerate(plan):
@@ -38,14 +38,14 @@ def harm(bench: FaultSession, plan: list[tuple[str, str]], rng: np.random.Genera
             pause(float(rng.uniform(0.1, 0.6)))
             if bench.engaged(bench.link):  # and no stall of the machine was a fault of its own
                 break
-        faults.append(inject(bench, kind, target, rng))
+        faults.append(inject_fault(bench, kind, target, rng))
         print(f"{number + 1}/{len(plan)} {faults[-1].name} {faults[-1].seconds:.2f} s", flush=True)
     bench.await_engaged()
     pause(0.5)
     return faults
 
 
-def summarise(verdict: CampaignResult) -> dict:
+def summarise_campaign(verdict: CampaignResult) -> dict:
     """Return the figures of a campaign."""
     by_side, by_fault = defaultdict(list), defaultdict(list)
     for fault, side, seconds in verdict.reactions:
@@ -76,7 +76,7 @@ def summarise(verdict: CampaignResult) -> dict:
     }
 
 
-def failures(verdict: CampaignResult, faults: list[Fault]) -> list[str]:
+def list_failures(verdict: CampaignResult, faults: list[Fault]) -> list[str]:
     """Return what a session must not have done, or what was not seen of it."""
     out = []
     concerned = sum(fault.concerns(side) for fault in faults for side in ("master", "slave"))
@@ -108,7 +108,7 @@ def run_session(folder: Path, plan: list[tuple[str, str]], rng: np.random.Genera
     folder.mkdir(parents=True, exist_ok=True)
     extra = ["view"] * any(target == "view" for _, target in plan)
     with FaultSession(folder, DEMO_CONFIG, *overrides, extra=extra) as bench:
-        faults = harm(bench, plan, rng)
+        faults = inject_faults(bench, plan, rng)
         bench.end()
     (folder / FAULTS).write_text(json.dumps(faults))
 
@@ -116,8 +116,12 @@ def run_session(folder: Path, plan: list[tuple[str, str]], rng: np.random.Genera
 def judge_session(folder: Path) -> dict:
     """Return the figures of a session from its recordings."""
     faults = [Fault(*row) for row in json.loads((folder / FAULTS).read_text())]
-    verdict = judge(sorted(folder.glob("*.mcap")), faults)
-    return {"faults": len(faults), **summarise(verdict), "failures": failures(verdict, faults)}
+    verdict = judge_recordings(sorted(folder.glob("*.mcap")), faults)
+    return {
+        "faults": len(faults),
+        **summarise_campaign(verdict),
+        "failures": list_failures(verdict, faults),
+    }
 
 
 def main():

@@ -138,7 +138,7 @@ class CampaignResult(NamedTuple):
     tick: float  # [s] of the slave
 
 
-def judge(paths: list[Path], faults: list[Fault]) -> CampaignResult:
+def judge_recordings(paths: list[Path], faults: list[Fault]) -> CampaignResult:
     """Look at all recordings of a session and at what was done to it."""
     command = read_rows(paths, COMMAND.name, ["state", "echo_stamp_ns"])
     state = read_rows(paths, STATE.name, ["state", "echo_stamp_ns"])

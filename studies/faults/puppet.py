@@ -57,7 +57,7 @@ class Strings:
             return
 
 
-def unpluggable(open_device, strings):
+def make_unpluggable(open_device, strings):
     """Return `open_device` with the device's plug in our hand."""
     from master.device import DeviceLost
 
@@ -90,7 +90,7 @@ def main():
     if sys.argv[1] == "master":
         from master import process
 
-        process.open_device = unpluggable(process.open_device, strings)
+        process.open_device = make_unpluggable(process.open_device, strings)
     return commands.main(sys.argv[1:])
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from studies.testbed.processes import OURS, START_S, Processes, free_ports, pause, tell_proxy
+from studies.testbed.processes import OURS, START_S, Processes, find_free_ports, pause, tell_proxy
 from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link
 from teleop.messages.topics import HAND, STATE
@@ -38,8 +38,8 @@ class FaultSession(Processes):
         self, folder: Path, config: Path, *overrides: str, extra: Sequence[str] = ()
     ) -> None:
         self._names = (*NAMES, *extra)
-        self._environment = OURS | steppable_wall_clock(folder)
-        (port,) = free_ports(1)
+        self._environment = OURS | build_wall_clock(folder)
+        (port,) = find_free_ports(1)
         self.proxy = f"127.0.0.1:{port}"
         super().__init__(folder, config, f"impair.endpoint={self.proxy}", *MOTION, *overrides)
         self.link: Link | None = None
@@ -119,7 +119,7 @@ class FaultSession(Processes):
         return sorted(self.folder.glob("*.mcap"), key=lambda path: path.stat().st_ctime)
 
 
-def steppable_wall_clock(folder: Path) -> dict[str, str]:
+def build_wall_clock(folder: Path) -> dict[str, str]:
     """Return the environment of processes whose wall clock can be set; empty without a compiler."""
     library = folder.absolute() / "wall_clock.so"
     compiler = shutil.which("cc")
@@ -232,7 +232,7 @@ PLAN = (
 )
 
 
-def inject(bench: FaultSession, kind: str, target: str, rng: np.random.Generator) -> Fault:
+def inject_fault(bench: FaultSession, kind: str, target: str, rng: np.random.Generator) -> Fault:
     """Do it, and undo it after a while."""
     seconds = float(rng.choice([0.08, 0.2, 0.5, 1.0]))
     if kind == "kill":

@@ -22,7 +22,7 @@ from typing import Any
 
 from studies.kernel import image
 from studies.kernel.cases import CASES
-from studies.kernel.machine import CAN, Machine, MissingError, emulator, kernel
+from studies.kernel.machine import CAN, Machine, MissingError, find_emulator, find_kernel
 
 _LATE = ("hidraw", "multiprocessing.popen_fork", "encodings.utf_8_sig")  # imported while it runs
 _LATE_CAN = (  # imported by the driver's process and that of the drives
@@ -44,22 +44,22 @@ _MACHINES_MAX = 2
 def run(names: list[str], by_the_wall: bool, folder: Path) -> int:
     """Try these devices; return how much has failed."""
     start = time.monotonic()
-    qemu = emulator()
+    qemu = find_emulator()
     devices = [name for name in names if name != CAN_CHECKS]
     results: list[dict[str, Any]] = []
     with ExitStack() as running:
         machines = []
         if devices:
-            vmlinuz, modules = kernel()
+            vmlinuz, modules = find_kernel()
             initrd = folder / "initrd"
-            initrd.write_bytes(image.build("studies.kernel.hid_guest", _LATE, modules))
+            initrd.write_bytes(image.build_image("studies.kernel.hid_guest", _LATE, modules))
             count = 1 if by_the_wall else min(_MACHINES_MAX, len(devices), os.cpu_count() or 1)
             words = [f"devices={','.join(devices[k::count])}" for k in range(count)]
             machines += [(vmlinuz, initrd, text) for text in words]
         if CAN_CHECKS in names:
-            vmlinuz, modules = kernel(CAN)
+            vmlinuz, modules = find_kernel(CAN)
             initrd = folder / "initrd-can"
-            initrd.write_bytes(image.build("studies.kernel.can_guest", _LATE_CAN, modules))
+            initrd.write_bytes(image.build_image("studies.kernel.can_guest", _LATE_CAN, modules))
             machines.append((vmlinuz, initrd, ""))
         guests = [
             running.enter_context(Machine(qemu, *one, folder / str(k), by_the_wall))

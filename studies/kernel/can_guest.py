@@ -28,7 +28,7 @@ from slave.drivers.cia402 import driver  # noqa: F401 - so that forks have it
 from slave.drivers.cia402.config import BusConfig, Cia402Config
 from slave.drivers.connection import DriverProcess, start_process
 from slave.drivers.driver import Channels, DriverFault
-from studies.kernel.init import run, try_check
+from studies.kernel.init import run_checks, try_check
 from studies.kernel.judge import WrongError
 from studies.rigs.bench import BUS, Model
 from teleop.config.loading import as_tree
@@ -89,7 +89,7 @@ def main() -> None:
     """Never returns."""
     here = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
     os.environ |= {"PYTHONPATH": here, BUS: f"socketcan,{CHANNEL}"}
-    run(_try_all)
+    run_checks(_try_all)
 
 
 def _try_all(say: Callable[..., None]) -> None:

@@ -39,11 +39,11 @@ class Case(NamedTuple):
 
     def hand(self, n: int) -> Shares:
         """Return where the hand has moved the axes at report number `n`."""
-        return _ways(self.inputs, self.one_sided)[n % _WAY]
+        return _build_ways(self.inputs, self.one_sided)[n % _WAY]
 
 
 @cache
-def _ways(inputs: tuple[str, ...], one_sided: tuple[str, ...]) -> list[Shares]:
+def _build_ways(inputs: tuple[str, ...], one_sided: tuple[str, ...]) -> list[Shares]:
     """Return a way of the hand that is nowhere the same twice."""
     return [
         tuple(
@@ -55,26 +55,26 @@ def _ways(inputs: tuple[str, ...], one_sided: tuple[str, ...]) -> list[Shares]:
     ]
 
 
-def _pushes(n: int) -> Shares:
+def _compute_pushes(n: int) -> Shares:
     return ((n * 37) % 199 - 99) / 110, ((n * 51) % 199 - 99) / 110
 
 
-def _one_push(n: int) -> Shares:
-    return _pushes(n)[:1]
+def _compute_one_push(n: int) -> Shares:
+    return _compute_pushes(n)[:1]
 
 
-def _resistances(n: int) -> Shares:
+def _compute_resistances(n: int) -> Shares:
     return -(n % 8 + 1) / 8, -(3 * n % 8 + 1) / 8
 
 
 _XY = ("x", "y")
 
 CASES = (
-    Case("openffboard", "pid", "hid-generic", _XY, (), _XY, (1, 1), _pushes),
-    Case("openffboard-wheel", "pid", "hid-generic", ("x",), (), ("x",), (1,), _one_push),
-    Case("arduino", "pid", "hid-generic", _XY, (), _XY, (-1, -1), _pushes),
-    Case("sidewinder", "pid", "hid-generic", _XY, (), _XY, (-1, -1), _pushes, centres=True),
-    Case("rhino", "pid", "hid-generic", _XY, (), _XY, (1, 1), _pushes, counts=4096),
+    Case("openffboard", "pid", "hid-generic", _XY, (), _XY, (1, 1), _compute_pushes),
+    Case("openffboard-wheel", "pid", "hid-generic", ("x",), (), ("x",), (1,), _compute_one_push),
+    Case("arduino", "pid", "hid-generic", _XY, (), _XY, (-1, -1), _compute_pushes),
+    Case("sidewinder", "pid", "hid-generic", _XY, (), _XY, (-1, -1), _compute_pushes, centres=True),
+    Case("rhino", "pid", "hid-generic", _XY, (), _XY, (1, 1), _compute_pushes, counts=4096),
     Case(
         "dualsense",
         "dualsense",
@@ -83,7 +83,7 @@ CASES = (
         ("l2", "r2"),
         ("l2", "r2"),
         (1, 1),
-        _resistances,
+        _compute_resistances,
         counts=127,
     ),
     Case("spacemouse", "spacemouse", "hid-generic", ("x", "y", "z", "rx", "ry", "rz"), counts=350),

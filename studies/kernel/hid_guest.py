@@ -30,8 +30,14 @@ from master.devices.hid.pid import PidConfig
 from master.devices.hid.search import FoundDevice
 from studies.hid.virtual.device import VirtualDevice
 from studies.kernel.cases import CASES, Case, Shares
-from studies.kernel.init import run, try_check, words
-from studies.kernel.judge import Sent, WrongError, echoes, quantiles, reports_lost
+from studies.kernel.init import read_words, run_checks, try_check
+from studies.kernel.judge import (
+    Sent,
+    WrongError,
+    count_lost_reports,
+    format_quantiles,
+    match_echoes,
+)
 from studies.kernel.plugged import Plugged
 from teleop.runtime.clock import Grid, pause_garbage_collection
 
@@ -204,13 +210,13 @@ def loop(case: Case, rig: Plugged) -> Figures:
         pushes = rig.pushes()[before:]
         for report in driver.silence():
             node.write(report)
-    lost = reports_lost(case, decoded)
-    delays, missed = echoes(sent, pushes, case.signs)
+    lost = count_lost_reports(case, decoded)
+    delays, missed = match_echoes(sent, pushes, case.signs)
     rate = grid.stats.rate_hz
     figures = {"reads": str(len(decoded)), "lost": str(lost), "rate": f"{rate:.0f} Hz"}
     figures["busy"] = f"{1e3 * statistics.median(work):.2f} ms"
     if case.forces:
-        figures |= {"forces": str(len(sent)), "unseen": str(missed), **quantiles(delays)}
+        figures |= {"forces": str(len(sent)), "unseen": str(missed), **format_quantiles(delays)}
     _demand(rate >= RATE_MIN_HZ, figures, f"below {RATE_MIN_HZ:.0f} Hz")
     _demand(missed == 0, figures, "forces that the device never made")
     _demand(lost == 0, figures, "reports that never arrived")
@@ -233,13 +239,13 @@ def device(case: Case, rig: Plugged) -> Figures:
                 hid.write(_newtons(case, sent[-1].force))
         time.sleep(2 * POST_TIMEOUT_S)
         pushes = rig.pushes()[before:]
-    reports_lost(case, [now for last, now in pairwise(read) if now != last])
+    count_lost_reports(case, [now for last, now in pairwise(read) if now != last])
     figures = {"rate": f"{grid.stats.rate_hz:.0f} Hz"}
     if case.forces:
         while_sent = [push for push in pushes if push.time < sent[-1].time + POST_TIMEOUT_S]
-        delays, missed = echoes(sent, while_sent, (1,) * len(case.forces))
+        delays, missed = match_echoes(sent, while_sent, (1,) * len(case.forces))
         overtaken = missed / (len(sent) * len(case.forces))
-        figures |= {"overtaken": f"{overtaken:.1%}", **quantiles(delays)}
+        figures |= {"overtaken": f"{overtaken:.1%}", **format_quantiles(delays)}
         _demand(overtaken < 0.02, figures, "too many forces never reached the device")
         _demand(not any(pushes[-1].force), figures, "nobody wrote any more, and it still pushed")
     _demand(grid.stats.rate_hz >= RATE_MIN_HZ, figures, f"below {RATE_MIN_HZ:.0f} Hz")
@@ -413,11 +419,11 @@ def _ms(seconds: float) -> str:
 
 def main() -> None:
     """Never returns."""
-    run(_try_all)
+    run_checks(_try_all)
 
 
 def _try_all(say: Callable[..., None]) -> None:
-    names = words("devices")
+    names = read_words("devices")
     for case in CASES:
         if case.name in names:
             _try(case, say)

@@ -45,7 +45,7 @@ class Archive:
 
     def add_file(self, path: Path) -> None:
         """Add a file of this machine, and what its links lead to, at the same place."""
-        link = _first_link(path)
+        link = _find_first_link(path)
         if link is not None:
             target = os.readlink(link)
             self.add(str(link), stat.S_IFLNK | 0o777, target.encode())
@@ -68,11 +68,11 @@ class Archive:
             self._parts.append(part + bytes(-len(part) % 4))
 
 
-def _first_link(path: Path) -> Path | None:
+def _find_first_link(path: Path) -> Path | None:
     return next((p for p in reversed((path, *path.parents)) if p.is_symlink()), None)
 
 
-def build(main: str, modules: Iterable[str], kernel_modules: Iterable[Path]) -> bytes:
+def build_image(main: str, modules: Iterable[str], kernel_modules: Iterable[Path]) -> bytes:
     """Return the image.
 
     Parameters
@@ -88,9 +88,9 @@ def build(main: str, modules: Iterable[str], kernel_modules: Iterable[Path]) -> 
     for folder in ("/proc", "/sys", "/dev", "/tmp", "/root"):  # noqa: S108 - of the machine
         archive.add(folder, stat.S_IFDIR | 0o755)
     python = Path(sys.executable)
-    files = [python, python.parent.parent / "pyvenv.cfg", *_imported([main, *modules])]
+    files = [python, python.parent.parent / "pyvenv.cfg", *_list_imported([main, *modules])]
     libraries = [path for path in files if path == python or ".so" in path.suffixes]
-    for path in [*files, *_shared(libraries)]:
+    for path in [*files, *_list_shared(libraries)]:
         archive.add_file(path)
     for number, path in enumerate(kernel_modules):
         data = path.read_bytes()
@@ -104,14 +104,14 @@ def build(main: str, modules: Iterable[str], kernel_modules: Iterable[Path]) -> 
     return archive.packed()
 
 
-def _imported(modules: Iterable[str]) -> Iterator[Path]:
+def _list_imported(modules: Iterable[str]) -> Iterator[Path]:
     done = subprocess.run(
         [sys.executable, "-c", _IMPORTS, *modules], stdout=subprocess.PIPE, text=True, check=True
     )
     yield from (Path(path) for path in json.loads(done.stdout.splitlines()[-1]))
 
 
-def _shared(libraries: Iterable[Path]) -> set[Path]:
+def _list_shared(libraries: Iterable[Path]) -> set[Path]:
     """Return the shared libraries that binaries need, as the dynamic linker finds them."""
     done = subprocess.run(
         ["ldd", *map(str, libraries)], stdout=subprocess.PIPE, text=True, check=False

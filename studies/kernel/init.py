@@ -24,7 +24,7 @@ _RESULTS = Path("/dev/ttyS1")
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
-def run(checks: Callable[[Callable[..., None]], None]) -> None:
+def run_checks(checks: Callable[[Callable[..., None]], None]) -> None:
     """Run the checks, which are given a function that says a result. Never returns."""
     try:
         _prepare()
@@ -56,7 +56,7 @@ def try_check(say: Callable[..., None], device: str, check: Callable[..., Any], 
     return "figures" in said
 
 
-def words(name: str) -> list[str]:
+def read_words(name: str) -> list[str]:
     """Return what the kernel's command line gives for a name, as in devices=first,second."""
     given = Path("/proc/cmdline").read_text().split()
     text = next((word for word in given if word.startswith(f"{name}=")), "=")

@@ -22,7 +22,7 @@ class WrongError(Exception):
     """The device or the driver did what it must not; the message says what."""
 
 
-def echoes(
+def match_echoes(
     sent: Sequence[Sent], pushes: Sequence[Push], signs: Sequence[int]
 ) -> tuple[list[float], int]:
     """Return how long each force took to be felt [s], and how many were never felt.
@@ -34,7 +34,7 @@ def echoes(
     for axis, sign in enumerate(signs):
         wanted = [(time, sign * force[axis]) for time, force in sent]
         at = -1
-        for time, value in _changes([(p.time, p.force[axis]) for p in pushes]):
+        for time, value in _find_changes([(p.time, p.force[axis]) for p in pushes]):
             ahead = range(at + 1, min(at + 2 + _AHEAD, len(wanted)))
             found = next((k for k in ahead if abs(wanted[k][1] - value) < _FORCE_TOLERANCE), None)
             if found is None:
@@ -49,7 +49,7 @@ def echoes(
     return delays, missed
 
 
-def _changes(samples: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+def _find_changes(samples: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     kept: list[tuple[float, float]] = []
     last = 0.0
     for time, value in samples:
@@ -59,7 +59,7 @@ def _changes(samples: Sequence[tuple[float, float]]) -> list[tuple[float, float]
     return kept
 
 
-def reports_lost(case: Case, decoded: Sequence[Shares]) -> int:
+def count_lost_reports(case: Case, decoded: Sequence[Shares]) -> int:
     """Return how many of the hand's positions were left out between the first and the last.
 
     Each decoded one must be one of the hand's, in order; anything else is a `WrongError`.
@@ -68,7 +68,7 @@ def reports_lost(case: Case, decoded: Sequence[Shares]) -> int:
     lost, at = 0, None
     for shares in decoded:
         ahead = range(5000) if at is None else range(at + 1, at + 100)
-        found = next((n for n in ahead if _close(case.hand(n), shares, tolerance)), None)
+        found = next((n for n in ahead if _are_close(case.hand(n), shares, tolerance)), None)
         if found is None:
             raise WrongError(f"decoded {shares} after report {at}: no such position")
         lost += 0 if at is None else found - at - 1
@@ -76,11 +76,11 @@ def reports_lost(case: Case, decoded: Sequence[Shares]) -> int:
     return lost
 
 
-def _close(one: Shares, other: Shares, tolerance: float) -> bool:
+def _are_close(one: Shares, other: Shares, tolerance: float) -> bool:
     return all(abs(a - b) <= tolerance for a, b in zip(one, other, strict=True))
 
 
-def quantiles(delays: Sequence[float]) -> dict[str, str]:
+def format_quantiles(delays: Sequence[float]) -> dict[str, str]:
     """Return the middle and the 99th percentile of delays [s] in words."""
     hundredths = statistics.quantiles(delays, n=100)
     return {name: f"{1e3 * hundredths[at - 1]:.2f} ms" for name, at in (("p50", 50), ("p99", 99))}

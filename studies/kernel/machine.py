@@ -8,7 +8,7 @@ import subprocess
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from studies.testbed.processes import processor_s
+from studies.testbed.processes import read_processor_s
 
 # --- kernels to boot: Debian's, downloaded once and kept in .cache/
 
@@ -49,7 +49,7 @@ class MissingError(Exception):
     """Something is not there and cannot be installed; the message names the remedy."""
 
 
-def emulator() -> str:
+def find_emulator() -> str:
     """Return the path of qemu, installed if need be."""
     if found := shutil.which(EMULATOR):
         return found
@@ -60,7 +60,7 @@ def emulator() -> str:
     return shutil.which(EMULATOR) or EMULATOR
 
 
-def kernel(flavour: Flavour = HID) -> tuple[Path, list[Path]]:
+def find_kernel(flavour: Flavour = HID) -> tuple[Path, list[Path]]:
     """Return a kernel and its modules, in the order to load them."""
     folder = flavour.folder
     if not (folder / "complete").exists():
@@ -78,7 +78,7 @@ def _download(flavour: Flavour) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     unpacked = folder / "package"
     unpacked.mkdir(parents=True)
-    package = _package(flavour.package)
+    package = _find_package(flavour.package)
     _run("apt-get", "download", package, folder=folder)
     (archive,) = folder.glob("*.deb")
     _run("dpkg-deb", "-x", str(archive), str(unpacked), folder=folder)
@@ -94,7 +94,7 @@ def _download(flavour: Flavour) -> None:
     (folder / "complete").write_text(f"{package}\n")
 
 
-def _package(meta: str) -> str:
+def _find_package(meta: str) -> str:
     """Return the newest kernel package, after an update of apt's lists if they know none."""
     for update in (False, True):
         if update and os.geteuid() == 0:
@@ -191,7 +191,7 @@ class Machine:
     def worked_s(self) -> float:
         """Processor time that it has used [s]; of Linux."""
         with contextlib.suppress(OSError):  # it is gone
-            self._worked_s = processor_s(self._process.pid)
+            self._worked_s = read_processor_s(self._process.pid)
         return self._worked_s
 
     @property

@@ -52,7 +52,7 @@ class Model:
             self._process.wait()
 
 
-def rig_tree(buses: dict, motors: int, paired: bool) -> dict:
+def build_rig_tree(buses: dict, motors: int, paired: bool) -> dict:
     """Return the section `slave.rig` of a config."""
     tendons = [
         {
@@ -69,7 +69,7 @@ def rig_tree(buses: dict, motors: int, paired: bool) -> dict:
 
 def write_config(path: Path, buses: dict, motors: int, **slave: object) -> Path:
     """Write the config of a session on the model's buses."""
-    rig = rig_tree(buses, motors, paired=motors > 1)
+    rig = build_rig_tree(buses, motors, paired=motors > 1)
     gate = {"displacement_min": -0.035, "displacement_max": 0.035}
     hand = {"type": "sine", "amplitude": 0.02, "frequency": 0.3}
     tree = {

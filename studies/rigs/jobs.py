@@ -68,7 +68,7 @@ def main() -> int:
     for driver in args.drivers:
         for motors in args.motors:
             for name in args.only:
-                passed, text = attempt(JOBS[name], driver, motors, args.attempts)
+                passed, text = attempt_job(JOBS[name], driver, motors, args.attempts)
                 failed += not passed
                 word = "pass" if passed else "FAIL"
                 print(f"{driver:16} {motors:6}  {name:14} {word}  {text}", flush=True)
@@ -76,12 +76,12 @@ def main() -> int:
     return 1 if failed else 0
 
 
-def attempt(job: "Job", driver: str, motors: int, attempts: int) -> tuple[bool, str]:
+def attempt_job(job: "Job", driver: str, motors: int, attempts: int) -> tuple[bool, str]:
     """Run a job, again if it fails; return whether it passed, and its figures or the reasons."""
     reasons: list[str] = []
     while len(reasons) < attempts:
         try:
-            text = perform(job, driver, motors)
+            text = perform_job(job, driver, motors)
         except (AssertionError, OSError, ValueError) as error:
             reasons.append(" ".join(str(error).split())[-250:])
             continue
@@ -89,7 +89,7 @@ def attempt(job: "Job", driver: str, motors: int, attempts: int) -> tuple[bool, 
     return False, " | ".join(reasons)
 
 
-def perform(job: "Job", driver: str, motors: int) -> str:
+def perform_job(job: "Job", driver: str, motors: int) -> str:
     """Run a job on a model of its own; return its figures."""
     with tempfile.TemporaryDirectory() as folder, Model(driver, motors, "tendons") as model:
         config = write_config(Path(folder) / "rig.yaml", model.buses, motors)
@@ -97,7 +97,7 @@ def perform(job: "Job", driver: str, motors: int) -> str:
             return job(session, driver)
 
 
-def calibrate(session: Session, driver: str) -> str:
+def calibrate_sheaths(session: Session, driver: str) -> str:
     """Find the sheaths by the quick procedure, and run with what was found."""
     out = session.config.parent / "calibration.yaml"
     began_s = time.monotonic()
@@ -109,7 +109,7 @@ def calibrate(session: Session, driver: str) -> str:
     return f"K within {worst:.1%} of the truth, {took_s:.0f} s"
 
 
-def run(session: Session, driver: str) -> str:
+def follow_hand(session: Session, driver: str) -> str:
     """Follow the hand, which feels forces."""
     session.engage()
     moved, force = session.follow(RUN_S)
@@ -123,7 +123,7 @@ def run(session: Session, driver: str) -> str:
     return f"{rate_hz:g} Hz, {losses}, late {rig['late']}; {moved:.0f} counts, {force:.1f} N felt"
 
 
-def e_stop(session: Session, driver: str) -> str:
+def stop_session(session: Session, driver: str) -> str:
     """Stop by `teleop stop`, reset, engage again."""
     session.engage()
     session.processes.start("stop")
@@ -136,17 +136,17 @@ def e_stop(session: Session, driver: str) -> str:
     return f"stopped {took_s * 1e3:.0f} ms after the master was; engaged again after the reset"
 
 
-def kill(session: Session, driver: str) -> str:
+def kill_session_slave(session: Session, driver: str) -> str:
     """Kill the slave: its drivers notice and stop the motors."""
-    return killed(session, [])
+    return kill_slave(session, [])
 
 
-def kill_all(session: Session, driver: str) -> str:
+def kill_with_drivers(session: Session, driver: str) -> str:
     """Kill the slave and its drivers: the motors' own watchdogs stop them."""
-    return killed(session, ["drivers"])
+    return kill_slave(session, ["drivers"])
 
 
-def killed(session: Session, also: list[str]) -> str:
+def kill_slave(session: Session, also: list[str]) -> str:
     """Kill the slave, perhaps its drivers first; then start anew."""
     session.engage()
     processes = [*(session.drivers() if also else []), session.slave.pid]
@@ -165,7 +165,7 @@ def killed(session: Session, also: list[str]) -> str:
     return f"{said}; engaged anew"
 
 
-def kill_calibrate(session: Session, driver: str) -> str:
+def kill_calibration(session: Session, driver: str) -> str:
     """Kill a calibration at several moments: the motors stop, and the earlier file stays."""
     out = session.config.parent / "calibration.yaml"
     file.save(out, file.Calibration(tendons=(TendonConfig(effective_friction=TRUE_K),)))
@@ -214,7 +214,7 @@ def kill_driver(session: Session, driver: str) -> str:
     return f"stopped {took_s * 1e3:.0f} ms after SIGKILL: {session.ended_with('has ended')}"
 
 
-def unplug(session: Session, driver: str) -> str:
+def unplug_adapter(session: Session, driver: str) -> str:
     """Unplug the adapter, and plug it in again: nothing moves until a new session engages."""
     session.engage()
     unplugged_s = time.monotonic()
@@ -228,7 +228,7 @@ def unplug(session: Session, driver: str) -> str:
     return f"stopped {took_s * 1e3:.0f} ms after: {said}; engaged anew"
 
 
-def fault(session: Session, driver: str) -> str:
+def fail_motor(session: Session, driver: str) -> str:
     """Have the first motor fail: refused until the operator resets it, then engaged anew."""
     session.engage()
     failed_s = time.monotonic()
@@ -252,15 +252,15 @@ def require_still(session: Session) -> None:
 
 Job = Callable[[Session, str], str]
 JOBS: dict[str, Job] = {
-    "calibrate": calibrate,
-    "run": run,
-    "e-stop": e_stop,
-    "kill": kill,
-    "kill all": kill_all,
+    "calibrate": calibrate_sheaths,
+    "run": follow_hand,
+    "e-stop": stop_session,
+    "kill": kill_session_slave,
+    "kill all": kill_with_drivers,
     "kill driver": kill_driver,
-    "kill calibrate": kill_calibrate,
-    "unplug": unplug,
-    "fault": fault,
+    "kill calibrate": kill_calibration,
+    "unplug": unplug_adapter,
+    "fault": fail_motor,
 }
 
 if __name__ == "__main__":

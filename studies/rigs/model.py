@@ -37,7 +37,7 @@ EMULATED_ROUND_S, EMULATED_LOOK_S = 0.004, 0.002
 FOLDER = Path(tempfile.mkdtemp(prefix="rig-model-"))
 
 
-def port_link(name: str) -> Path:
+def name_port(name: str) -> Path:
     """Return the name of a port, which stays when it is unplugged and plugged in again."""
     return FOLDER / name
 
@@ -58,7 +58,7 @@ class Followed:
 class Microcontroller:
     def __init__(self, motors, plant) -> None:
         self.models = [
-            Board(compile_firmware(FOLDER), motors, motors, plant, 1.0, port_link("motors"))
+            Board(compile_firmware(FOLDER), motors, motors, plant, 1.0, name_port("motors"))
         ]
         self.board = self.models[0]
         self.buses = {"motors": {"type": "microcontroller", "port": self.board.port.name}}
@@ -80,8 +80,8 @@ class Dynamixel:
     """Servos, and a microcontroller for the load cells alone."""
 
     def __init__(self, motors, plant) -> None:
-        self.servos = Servos(range(1, motors + 1), plant, 1.0, port_link("motors"))
-        board = Board(compile_firmware(FOLDER), 0, motors, Followed(plant), 1.0, port_link("cells"))
+        self.servos = Servos(range(1, motors + 1), plant, 1.0, name_port("motors"))
+        board = Board(compile_firmware(FOLDER), 0, motors, Followed(plant), 1.0, name_port("cells"))
         self.models = [self.servos, board]
         self.buses = {
             "motors": {"type": "dynamixel", "port": self.servos.port.name},
@@ -113,7 +113,7 @@ class Cia402:
             described = {"interface": interface, "channel": channel}
             bus = can.Bus(**described)
         else:
-            self.port = PseudoPort(port_link("motors"))
+            self.port = PseudoPort(name_port("motors"))
             bus = SlcanAdapter(self.port)
             described = {"interface": "slcan", "channel": self.port.name, "tty_wait": 0.0}
         self.drives = Drives(bus, range(1, motors + 1), plant, patience=1.0)

@@ -16,8 +16,8 @@ from slave.config import SlaveConfig
 from slave.drivers.cia402.config import compute_bus_load
 from slave.rig import RigFault
 from slave.rigs.hardware import HardwareRig
-from studies.rigs.bench import Model, rig_tree
-from studies.testbed.processes import processor_s
+from studies.rigs.bench import Model, build_rig_tree
+from studies.testbed.processes import read_processor_s
 from teleop.config.loading import load
 from teleop.runtime.realtime import request_realtime
 
@@ -37,37 +37,37 @@ def main() -> None:
     for driver in args.drivers:
         for motors in args.motors:
             try:
-                text = measure(driver, motors, args.seconds)
+                text = measure_rates(driver, motors, args.seconds)
             except RigFault as fault:
                 text = f"fault: {fault}"
             print(f"{driver:16} {motors:6}  {text}", flush=True)
 
 
-def measure(driver: str, motors: int, seconds: float) -> str:
+def measure_rates(driver: str, motors: int, seconds: float) -> str:
     """Run a rig for a while; return rates and processor time as text."""
     asked = ASKED_HZ[driver] if driver != "cia402" or motors <= 7 else 400.0
     with Model(driver, motors, "springs") as model:
         buses = model.buses
         if driver == "dynamixel":
             buses["motors"]["rate_hz"] = asked
-        tree = rig_tree(buses, motors, paired=False)
+        tree = build_rig_tree(buses, motors, paired=False)
         config = load(None, SlaveConfig, "slave", [f"slave.rig={tree}"])
         rig = HardwareRig(config.rig)
         try:
-            run(rig, 1.0)
-            before = processor_s(rig.buses[0].pid)
-            times = run(rig, seconds)
-            used = (processor_s(rig.buses[0].pid) - before) / seconds
+            run_rig(rig, 1.0)
+            before = read_processor_s(rig.buses[0].pid)
+            times = run_rig(rig, seconds)
+            used = (read_processor_s(rig.buses[0].pid) - before) / seconds
         finally:
             rig.close()
     gaps = np.diff(times)
     return (
         f"{asked:8.0f}  {1.0 / gaps.mean():10.0f}  {gaps.max() * 1e3:14.1f}  {used:5.0%}"
-        f"  {line_bound(driver, motors):14.0f}"
+        f"  {compute_line_bound(driver, motors):14.0f}"
     )
 
 
-def run(rig: HardwareRig, seconds: float) -> np.ndarray:
+def run_rig(rig: HardwareRig, seconds: float) -> np.ndarray:
     """Read and write at 1 kHz where the motors are; return the times of the samples [s]."""
     times, target = [], None
     due_s = time.monotonic()
@@ -83,7 +83,7 @@ def run(rig: HardwareRig, seconds: float) -> np.ndarray:
     return np.array(times)
 
 
-def line_bound(driver: str, motors: int) -> float:
+def compute_line_bound(driver: str, motors: int) -> float:
     """Return the highest rate [Hz] that the bits of the line allow."""
     if driver == "cia402":
         loads = [compute_bus_load(1e6, hz, motors, motors, motors, wide=False) for hz in (0.0, 1.0)]

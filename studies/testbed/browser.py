@@ -46,7 +46,7 @@ _CHANGE, _COLOURS = 0.05, 300  # levels on average; a page that is still empty h
 Picture = NDArray[np.uint8]  # shape (height, width, 3)
 
 
-def program() -> str | None:
+def find_program() -> str | None:
     """Return a Chromium on this machine, if there is one."""
     return next((path for name in _NAMES if (path := shutil.which(name))), None)
 
@@ -71,7 +71,7 @@ class Browser:
 
         self._process = subprocess.Popen(
             [
-                *(str(program()), *_FLAGS, f"--user-data-dir={self._folder.name}"),
+                *(str(find_program()), *_FLAGS, f"--user-data-dir={self._folder.name}"),
                 *(f"--window-size={width},{height}", "about:blank"),
             ],
             preexec_fn=wire,  # noqa: PLW1509 - it only moves descriptors

@@ -53,7 +53,7 @@ class Record(NamedTuple):
         return float(np.sqrt(np.mean(error**2))), float(np.abs(error).max())
 
 
-def joint(
+def build_joint(
     K: float,
     spring: float = 0.0,
     environment: EnvironmentConfig | None = None,
@@ -74,7 +74,7 @@ def joint(
     return JointConfig((tendon,) * tendons, BodyConfig(**settings), environment or FreeConfig())
 
 
-def model(
+def build_model(
     tendon: TendonPlantConfig, pretension: float, K_error: float, EA_error: float
 ) -> online.TendonModel:
     """Return what a calibration that is wrong by so much would tell: one even bend."""
@@ -90,7 +90,7 @@ def model(
     )
 
 
-def estimated(sample: RigSample, estimates: Sequence[online.TendonEstimate]) -> StructArray:
+def to_tendon_records(sample: RigSample, estimates: Sequence[online.TendonEstimate]) -> StructArray:
     """Return the tendons of a sample as records, shape (MAX_TENDONS,)."""
     tendons = EstimatedTendon.array(MAX_TENDONS)
     for k, estimate in enumerate(estimates):
@@ -103,7 +103,7 @@ def estimated(sample: RigSample, estimates: Sequence[online.TendonEstimate]) -> 
     return tendons
 
 
-def padded(values: Sequence[float], length: int) -> Array:
+def pad_array(values: Sequence[float], length: int) -> Array:
     """Return an array of this length that begins with `values`, zero beyond."""
     return np.array([*values, *[0.0] * (length - len(values))])
 
@@ -121,7 +121,9 @@ def follow(
 ) -> Record:
     """Let joints follow commands, which begin as the session engages."""
     rig = SimulatedRig(SimulatedRigConfig(joints=tuple(joints), effects=tuple(effects), seed=seed))
-    models = [model(tendon, j.body.pretension, *errors) for j in joints for tendon in j.tendons]
+    models = [
+        build_model(tendon, j.body.pretension, *errors) for j in joints for tendon in j.tendons
+    ]
     prepared = [online.prepare(m) for m in models]
     states = [online.build_initial_state(p) for p in prepared]
     layout, settings, limits = (
@@ -148,7 +150,7 @@ def follow(
         ):
             estimate, states[i] = online.step(p, states[i], T, q, DT if k else 0.0)
             estimates.append(estimate)
-        tendons = estimated(sample, estimates)
+        tendons = to_tendon_records(sample, estimates)
         if k == 0:
             control.compute_offsets(layout, tendons, offsets)
         fault = fault_detection.step(detection, layout, detector, tendons, DT if k else 0.0)
@@ -160,7 +162,7 @@ def follow(
             continue
         asked, velocity = zip(*(command(time - BEGIN) for command in commands), strict=True)
         control.step(
-            settings, layout, memory, padded(asked, MAX_JOINTS), padded(velocity, MAX_JOINTS),
+            settings, layout, memory, pad_array(asked, MAX_JOINTS), pad_array(velocity, MAX_JOINTS),
             motor, tendons, True, DT, wanted,
         )  # fmt: skip
         tension = sample.proximal_tension
@@ -177,7 +179,7 @@ def follow(
     return Record(*(np.array(column) for column in zip(*rows, strict=True)), tuple(found))
 
 
-def staircase(levels: Sequence[float], speed: float, rest: float) -> Command:
+def build_stairs(levels: Sequence[float], speed: float, rest: float) -> Command:
     """Go to each level [m] at `speed` [m/s] and rest there for so long [s]; stay at the last."""
 
     def at(time: float) -> tuple[float, float]:
@@ -196,7 +198,7 @@ def staircase(levels: Sequence[float], speed: float, rest: float) -> Command:
     return at
 
 
-def sine(amplitude: float, frequency: float) -> Command:
+def build_sine(amplitude: float, frequency: float) -> Command:
     """Swing to and fro by so much [m], so often [Hz]."""
     rate = 2.0 * math.pi * frequency
     return lambda time: (
@@ -205,6 +207,6 @@ def sine(amplitude: float, frequency: float) -> Command:
     )
 
 
-def hold(_time: float) -> tuple[float, float]:
+def hold_still(_time: float) -> tuple[float, float]:
     """Stay."""
     return 0.0, 0.0

@@ -47,12 +47,12 @@ class ObservedSession(Processes):
             for state, spans in self._spans.items():
                 rounds = [values((stamps >= begin) & (stamps < end)) for begin, end in spans]
                 rounds = [some[some > 0] for some in rounds]
-                p50, p99, p999 = percentiles_ms(np.concatenate(rounds))
-                each = "  ".join(f"{percentiles_ms(some)[1]:.2f}" for some in rounds)
+                p50, p99, p999 = compute_percentiles_ms(np.concatenate(rounds))
+                each = "  ".join(f"{compute_percentiles_ms(some)[1]:.2f}" for some in rounds)
                 print(f"{name:18}{state:>9}{p50:8.3f}{p99:8.3f}{p999:8.3f}   {each}")
 
 
-def percentiles_ms(values_ns: NDArray[np.int64]) -> list[float]:
+def compute_percentiles_ms(values_ns: NDArray[np.int64]) -> list[float]:
     """Return the percentiles 50, 99 and 99.9; NaN where no command came back."""
     if not len(values_ns):
         return [math.nan] * 3

@@ -28,12 +28,12 @@ START_S = 120.0  # the first start of all compiles
 OURS = os.environ | {SUPERVISED_VARIABLE: str(os.getpid())}
 
 
-def ended_well(code: int, said: str) -> bool:
+def has_ended_well(code: int, said: str) -> bool:
     """Whether a session ended as it should; its recording may lack what a busy machine dropped."""
     return code == 0 or (code == 1 and "messages are missing" in said)
 
 
-def free_ports(count: int) -> list[int]:
+def find_free_ports(count: int) -> list[int]:
     with ExitStack() as stack:
         sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
         for one in sockets:
@@ -41,13 +41,13 @@ def free_ports(count: int) -> list[int]:
         return [one.getsockname()[1] for one in sockets]
 
 
-def processor_s(pid: int) -> float:
+def read_processor_s(pid: int) -> float:
     """Return the processor time that a process has used [s]."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def resident_mb(pid: int | str = "self") -> float:
+def read_memory_mb(pid: int | str = "self") -> float:
     """Return the resident memory of a process [MB]."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
@@ -68,7 +68,7 @@ class Processes:
     """A session of its own: `start` commands in it, look at it through `link`."""
 
     def __init__(self, folder: Path, config: Path, *overrides: str) -> None:
-        master, slave = free_ports(2)
+        master, slave = find_free_ports(2)
         self.folder = folder
         self.session = f"test-{uuid.uuid4().hex[:8]}"
         self.link_config = LinkConfig(master=f"127.0.0.1:{master}", slave=f"127.0.0.1:{slave}")

@@ -10,7 +10,7 @@ import pytest
 
 from estimator.effects import NAMES
 from slave.simulation.effects import EffectConfig
-from studies.testbed.browser import Browser, program
+from studies.testbed.browser import Browser, find_program
 from teleop.cli.commands import COMMANDS
 from tests.root import ROOT
 
@@ -49,7 +49,7 @@ def test_no_page_names_a_script_style_or_picture_elsewhere(site):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(program() is None, reason="no Chromium here")
+@pytest.mark.skipif(find_program() is None, reason="no Chromium here")
 def test_pages_opened_as_files_fit_and_are_searched(site):
     with Browser(1280, 900, "dark") as browser:
 

@@ -38,7 +38,7 @@ from studies.rigs.models.servos import (
     TORQUE_BY_GOAL,
     WATCHDOG,
     Servos,
-    positions,
+    read_positions,
 )
 from tests.drivers.bench import (
     LIMIT_S,
@@ -145,7 +145,7 @@ def test_servos_are_stopped_where_they_are_when_the_slave_ends(servos):
         servos.plant.LAG_S = 1e6  # they do not come nearer to their goals
         read_for(rig, 0.2, start + 0.001)
     goals = [servo.get(GOAL, 4, signed=True) for servo in servos.servos.values()]
-    assert goals == pytest.approx(positions(servos), abs=3)
+    assert goals == pytest.approx(read_positions(servos), abs=3)
     assert wait_until(lambda: all(s.table[WATCHDOG] == 255 for s in servos.servos.values()))
 
 

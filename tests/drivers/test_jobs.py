@@ -15,4 +15,4 @@ pytestmark = [
 @pytest.mark.parametrize("motors", [1, 4])
 @pytest.mark.parametrize("driver", jobs.DRIVERS)
 def test_the_job(driver, motors, name):
-    jobs.perform(jobs.JOBS[name], driver, motors)
+    jobs.perform_job(jobs.JOBS[name], driver, motors)

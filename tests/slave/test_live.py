@@ -15,7 +15,7 @@ from slave.simulation.environment import (
     TissueConfig,
 )
 from slave.simulation.tendon import SheathConfig
-from studies.testbed.control_bench import joint
+from studies.testbed.control_bench import build_joint
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_JOINTS, Command
 from teleop.session.state_machine import State
@@ -102,7 +102,7 @@ def test_what_cannot_be_changed_is_one_line(environment, key, value, line):
 def engage(stiffness, seconds=1.6):
     """Return the force of each answer to the master [N]: pull for 0.4 s, hold, change at 0.8 s."""
     config = slave(
-        joint(0.05, spring=200.0, environment=TISSUE, tendons=1, noise=0.0, resolution=0.0)
+        build_joint(0.05, spring=200.0, environment=TISSUE, tendons=1, noise=0.0, resolution=0.0)
     )
     rig, bench = on_rig(config)
     forces = []

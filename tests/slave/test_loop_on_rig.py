@@ -17,7 +17,7 @@ from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
 from slave.simulation.effects.friction import FrictionStep
 from slave.simulation.effects.sensors import StuckCell
 from slave.simulation.environment import FreeConfig, TissueConfig, WallConfig
-from studies.testbed.control_bench import joint
+from studies.testbed.control_bench import build_joint
 from teleop.config.loading import load
 from teleop.messages.messages import MAX_JOINTS, Command, SlaveState
 from teleop.session.state_machine import Reason, State
@@ -80,7 +80,7 @@ def on_rig(config):
 
 
 def wall(tendons=2, **settings):
-    return joint(0.8, environment=WallConfig(position=0.002), tendons=tendons, **settings)
+    return build_joint(0.8, environment=WallConfig(position=0.002), tendons=tendons, **settings)
 
 
 def slave(*joints, effects=(), **settings):
@@ -141,7 +141,7 @@ def test_a_motor_that_does_not_go_where_it_is_sent_is_a_fault_that_names_it():
         place[1] = only_b(time, last, sample).proximal_displacement[1]
         return replace(sample, proximal_displacement=place)
 
-    free = slave(joint(0.8, environment=FreeConfig()))
+    free = slave(build_joint(0.8, environment=FreeConfig()))
     session = run(free, to(0.020, 0.02), 2.0, spoiled)
     assert session.bench.session.reason is Reason.MOTOR_ASTRAY
     assert session.bench.memory.faulty_tendon == 1
@@ -194,7 +194,7 @@ def test_a_sheath_that_changes_its_shape_is_advised_of_and_then_a_fault():
         FrictionStep(change=change, start=start, tendon="a")
         for change, start in ((0.12, 0.5), (0.2, 8.0))
     )
-    config = slave(joint(0.8, environment=tissue, noise=0.01), effects=steps)
+    config = slave(build_joint(0.8, environment=tissue, noise=0.01), effects=steps)
     session = run(config, lambda time: pressing(time, leg=0.9), 18.0)
     first = {said: session.advice.index(said) * DT for said in session.advice}
     assert 0.5 < first[Advice.ADVISED] < 8.0 < first[Advice.DEMANDED]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.testbed.processes import OURS, START_S, Processes, ended_well, free_ports
+from studies.testbed.processes import OURS, START_S, Processes, find_free_ports, has_ended_well
 from teleop.cli import commands
 from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link, Listener
@@ -111,13 +111,13 @@ def run_one(session: Processes, command: str) -> tuple[int, str]:
 
 def test_a_run_with_keys_of_the_command(tmp_path: Path, demo_config: Path) -> None:
     keys = issue(tmp_path, "keys", *TOGETHER)
-    ends = [f"127.0.0.1:{port}" for port in free_ports(2)]
+    ends = [f"127.0.0.1:{port}" for port in find_free_ports(2)]
     words = run_words(demo_config, tmp_path, keys, *ends)
     done = subprocess.run(
         [*words, "--duration", "4", "--record", str(tmp_path)],
         env=OURS, timeout=2 * START_S, check=False, capture_output=True, text=True,
     )  # fmt: skip
-    assert ended_well(done.returncode, done.stderr), done.stdout + done.stderr
+    assert has_ended_well(done.returncode, done.stderr), done.stdout + done.stderr
     assert "INSECURE" not in done.stdout
     summary = json.loads((tmp_path / "run.json").read_text())
     for side in ("master", "slave"):

@@ -6,8 +6,8 @@ import shutil
 import numpy as np
 import pytest
 
-from studies.faults.campaign import harm
-from studies.faults.judge import judge
+from studies.faults.campaign import inject_faults
+from studies.faults.judge import judge_recordings
 from studies.faults.session import FaultSession
 
 LIMIT_S = 0.050  # what a side has, counted from the last fresh message it heard
@@ -26,9 +26,9 @@ MORE = (
 @pytest.mark.parametrize("plan", [FEW, pytest.param(FEW + MORE, marks=pytest.mark.slow)])
 def test_faults_are_taken_in_time_and_nothing_moves_again_unasked(tmp_path, demo_config, plan):
     with FaultSession(tmp_path, demo_config, RATE) as bench:
-        faults = harm(bench, plan, np.random.default_rng(1))
+        faults = inject_faults(bench, plan, np.random.default_rng(1))
         bench.end()
-    verdict = judge(bench.recordings(), faults)
+    verdict = judge_recordings(bench.recordings(), faults)
     sides = {(fault.name, side) for fault, side, _ in verdict.reactions}
     assert {(f"{how} slave", "master") for how in ("stop", "kill")} <= sides
     assert {("stop master", "slave"), ("cut both", "slave")} <= sides

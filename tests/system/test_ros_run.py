@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from studies.testbed.processes import OURS, START_S, free_ports
+from studies.testbed.processes import OURS, START_S, find_free_ports
 from teleop.cli import commands
 from tests.root import ROOT
 from tests.teleop.ros.peers import Heard, peer, router
@@ -20,7 +20,7 @@ def test_a_router_on_a_port_of_the_link_is_refused_before_anything_starts(capsys
 
 @pytest.mark.slow
 def test_a_session_is_in_the_graph_while_it_runs(tmp_path):
-    master, slave = free_ports(2)
+    master, slave = find_free_ports(2)
     summary = tmp_path / "run.json"
     with router() as endpoint, peer(endpoint) as other:
         heard = Heard(other)

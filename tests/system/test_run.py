@@ -12,7 +12,14 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from studies.testbed.processes import OURS, START_S, Processes, ended_well, free_ports, pause
+from studies.testbed.processes import (
+    OURS,
+    START_S,
+    Processes,
+    find_free_ports,
+    has_ended_well,
+    pause,
+)
 from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.topics import HAND, TENDONS
 from teleop.recording.reader import read_columns
@@ -35,7 +42,7 @@ def nothing_left():
 
 
 def run(config, folder, *arguments, wait=True, environment=OURS):
-    master, slave = free_ports(2)
+    master, slave = find_free_ports(2)
     process = subprocess.Popen(
         [
             *(sys.executable, "-m", "teleop", "run", "--config", str(config)),
@@ -66,7 +73,7 @@ def recorded(tmp_path_factory):
         started = session.start("run", *words)
         with session.look() as link:
             assert wait_for_condition(lambda: session.engaged(link), START_S), session.outputs()
-        (port,) = free_ports(1)
+        (port,) = find_free_ports(1)
         master = session.start("master", "--set", f"link.master=127.0.0.1:{port}")
         second = session.start("run", "--view", "none", "--record", str(folder / "second"))
         refused = master.wait(30), second.wait(30)
@@ -80,7 +87,7 @@ def recorded(tmp_path_factory):
 
 def test_a_recorded_run_tells_everything_and_ctrl_c_ends_it_cleanly(recorded):
     folder, out = recorded.folder, (recorded.folder / "0-run.log").read_text()
-    assert ended_well(recorded.code, out), out
+    assert has_ended_well(recorded.code, out), out
     assert recorded.left == []
     assert "command to force" in out
     summary = json.loads((folder / "run.json").read_text())

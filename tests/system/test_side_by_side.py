@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from studies.testbed.processes import OURS, START_S, ended_well
+from studies.testbed.processes import OURS, START_S, has_ended_well
 
 
 @pytest.mark.slow
@@ -30,7 +30,7 @@ def test_two_runs_side_by_side_share_nothing(tmp_path, demo_config):
         for run in runs:
             run.kill()
     for text, run in zip(texts, runs, strict=True):
-        assert ended_well(run.returncode, text), text
+        assert has_ended_well(run.returncode, text), text
     names = [text.split(".")[0].removeprefix("Session ") for text in texts]
     assert len(set(names)) == 2
     for i, name in enumerate(names):

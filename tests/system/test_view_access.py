@@ -183,7 +183,7 @@ def other_site(content):
         server.shutdown()
 
 
-@pytest.mark.skipif(browser.program() is None, reason="no Chromium on this machine")
+@pytest.mark.skipif(browser.find_program() is None, reason="no Chromium on this machine")
 def test_a_page_of_another_site_in_a_real_browser_reads_nothing(view):
     """Of another port here, so it is the same site; it knows both addresses."""
     with FoxgloveServer("demo", 8765) as app, browser.Browser() as page:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from studies.testbed import browser
-from studies.testbed.processes import free_ports
+from studies.testbed.processes import find_free_ports
 from teleop.launch.supervisor import wait_for_condition
 from teleop.view.colours import STATES
 from teleop.view.columns import decode
@@ -18,7 +18,7 @@ from tests.teleop.view_session import CONFIG, Session
 
 pytestmark = [
     pytest.mark.slow,  # minutes of drawing by software; test_view_access opens a page of it too
-    pytest.mark.skipif(browser.program() is None, reason="no Chromium on this machine"),
+    pytest.mark.skipif(browser.find_program() is None, reason="no Chromium on this machine"),
 ]
 
 APPEARS_S = 240.0  # on a busy machine; a quiet one takes a tenth
@@ -99,7 +99,7 @@ def test_a_page_says_how_old_what_it_shows_is(chromium):
 
 def test_the_page_comes_back_when_another_view_serves_it(chromium):
     """Two views one after the other at the same address; the second shows another layout."""
-    ports = dict(zip(("web_port", "grpc_port"), free_ports(2), strict=True))
+    ports = dict(zip(("web_port", "grpc_port"), find_free_ports(2), strict=True))
     config = replace(CONFIG, layout="surgeon", **ports)
     chromium.emulate(1280, 800, "light")
     for layout in ("presentation", "surgeon"):

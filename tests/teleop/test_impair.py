@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from studies.testbed.processes import free_ports
+from studies.testbed.processes import find_free_ports
 from teleop.config.loading import ConfigDocument, load
 from teleop.errors import TeleopError, UsageError
 from teleop.impair import command, model
@@ -284,7 +284,7 @@ class Bridged:
     """A proxy process, and how to reach each side of it."""
 
     def __init__(self, folder, *arguments):
-        ends = [f"127.0.0.1:{port}" for port in free_ports(3)]
+        ends = [f"127.0.0.1:{port}" for port in find_free_ports(3)]
         self.session = f"test-{uuid.uuid4().hex[:8]}"
         self.shared = LinkConfig(master=ends[0], slave=ends[1])
         self.to_proxy = LinkConfig(master=ends[0], slave=ends[2])

@@ -14,7 +14,7 @@ import zenoh
 
 from master.config import MasterConfig
 from slave.config import SlaveConfig
-from studies.testbed.processes import OURS, free_ports
+from studies.testbed.processes import OURS, find_free_ports
 from teleop.cli import commands
 from teleop.config.loading import load
 from teleop.errors import UsageError
@@ -79,7 +79,7 @@ def test_a_wrong_endpoint_is_one_line(bad):
 
 
 def test_the_command_says_where_it_is_and_who_comes(tmp_path):
-    (port,) = free_ports(1)
+    (port,) = find_free_ports(1)
     command = [sys.executable, "-m", "teleop", "router", "--session", "room-1"]
     command += ["--listen", f"127.0.0.1:{port}"]
     with subprocess.Popen(
@@ -129,7 +129,7 @@ def test_zenohd_takes_the_same_settings_as_a_file(tmp_path, capsys):
     for role, session in (("slave", "a"), ("viewer", "a"), ("router", "all")):
         issue = ["keys", "issue", authority, "--role", role, "--session", session]
         assert commands.main([*issue, "--out", str(keys)]) == 0
-    (port,) = free_ports(1)
+    (port,) = find_free_ports(1)
     capsys.readouterr()
     command = ["router", "--zenohd", "--session", "a", "--listen", f"127.0.0.1:{port}"]
     assert commands.main([*command, "--keys", str(keys)]) == 0

@@ -33,17 +33,17 @@ WATCHDOG_UNIT_S = 0.020
 ROUND_S = 0.0005  # [s] between two looks at the plant
 
 
-def _shifted(crc: int) -> int:
+def _shift_byte(crc: int) -> int:
     """Return a CRC register after eight bits of zero."""
     for _ in range(8):
         crc = ((crc << 1) ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
     return crc
 
 
-TABLE = [_shifted(byte << 8) for byte in range(256)]
+TABLE = [_shift_byte(byte << 8) for byte in range(256)]
 
 
-def crc16(data: bytes) -> int:
+def compute_crc(data: bytes) -> int:
     crc = 0
     for byte in data:
         crc = (crc << 8 & 0xFFFF) ^ TABLE[crc >> 8 ^ byte]
@@ -196,7 +196,7 @@ class Servos:
             if len(whole) < 7 + length:
                 return None
             self._received = self._received[7 + length :]
-            if crc16(whole[:-2]) == struct.unpack("<H", whole[-2:])[0]:
+            if compute_crc(whole[:-2]) == struct.unpack("<H", whole[-2:])[0]:
                 return whole[4:5] + whole[7:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
 
     def _obey(self, packet: bytes, now: float) -> None:
@@ -252,12 +252,12 @@ class Servos:
         error |= ALERT if self.servos[number].table[ERROR] else 0
         body = bytes([STATUS, error]) + data.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
         whole = HEADER + bytes([number]) + struct.pack("<H", len(body) + 2) + body
-        whole += struct.pack("<H", crc16(whole))
+        whole += struct.pack("<H", compute_crc(whole))
         if self.damage > 0:
             self.damage -= 1
             whole = whole[:-1] + bytes([whole[-1] ^ 1])
         self.port.write(whole)
 
 
-def positions(servos: Servos):
+def read_positions(servos: Servos):
     return np.array([servo.get(POSITION, 4, signed=True) for servo in servos.servos.values()])

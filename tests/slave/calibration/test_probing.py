@@ -14,8 +14,7 @@ from slave.calibration import probing
 from slave.calibration.monitor import MonitorConfig, TendonMonitor
 from slave.calibration.probing import K_RATIO_MIN, Probe, ProbingConfig
 from slave.tendons import EstimatedTendon, build_rig_layout
-from studies.probing import draw
-from studies.probing import rest as run_rest
+from studies.probing import draw_joint, run_rest
 from teleop.messages.messages import MAX_JOINTS
 from teleop.session.state_machine import Session, State, may_probe
 
@@ -144,7 +143,7 @@ def test_friction_follows_from_the_share_of_travel_and_lies_in_its_interval(fact
 
 
 def test_on_a_rig_a_few_seconds_of_rest_show_friction_and_the_tip_does_not_move():
-    drawn = draw(np.random.default_rng(7), 2)
+    drawn = draw_joint(np.random.default_rng(7), 2)
     found = run_rest(drawn, seconds=4.0)
     assert len(found.K) >= 3
     assert abs(drawn.K_model / drawn.K - 1.0) > 0.1

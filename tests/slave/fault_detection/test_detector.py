@@ -12,7 +12,7 @@ from slave.fault_detection import FaultDetectionConfig
 from slave.fault_detection.wound_length import compute_compliance, compute_elongation_min
 from slave.rig import RigSample
 from slave.tendons import EstimatedTendon, build_rig_layout
-from studies.testbed.control_bench import DT, estimated
+from studies.testbed.control_bench import DT, to_tendon_records
 from teleop.session.state_machine import Reason
 from tests.slave.fault_detection.readings import readings
 
@@ -47,7 +47,7 @@ def test_a_sample_that_the_estimator_refused_tells_nothing_and_an_encoder_may_be
             online.step(p, s, T, q, DT)[0]
             for p, s, (T, q) in zip(prepared, states, pairs, strict=True)
         ]
-        assert detector.step(estimated(sample, estimates)) == HEALTHY
+        assert detector.step(to_tendon_records(sample, estimates)) == HEALTHY
     assert all(math.isfinite(t.average.tension) for t in detector.record.tendon[:2])
 
 
@@ -67,7 +67,7 @@ def test_a_stuck_cell_is_not_taken_for_a_jam_by_what_it_reads():
             read = 0.3, T_b  # it began loose
         sample = RigSample(k * DT, np.array(read), np.array([q_a - moved if k else q_b, q_b]))
         estimates = [online.step(prepared, state, T, 0.0, DT)[0] for T in read]
-        fault = detector.step(estimated(sample, estimates))
+        fault = detector.step(to_tendon_records(sample, estimates))
         if fault != HEALTHY:
             found.append(fault)
     assert found[0] == (Reason.CELL_STUCK, 0)

@@ -8,13 +8,13 @@ import pytest
 from slave.simulation.effects.elasticity import BrokenTendon, JammedTendon
 from slave.simulation.effects.sensors import RepeatedSamples, Saturation, StuckCell
 from slave.simulation.environment import LoadMotorConfig, TissueConfig, WallConfig
-from studies.testbed.control_bench import follow, joint, sine
+from studies.testbed.control_bench import build_joint, build_sine, follow
 from teleop.session.state_machine import Reason
 
 BROKEN, JAMMED = Reason.TENDON_BROKEN, Reason.TENDON_JAMMED
 SATURATED, STUCK = Reason.CELL_SATURATED, Reason.CELL_STUCK
-LOADED = joint(0.8, spring=300.0)
-SWING = sine(0.006, 0.5)
+LOADED = build_joint(0.8, spring=300.0)
+SWING = build_sine(0.006, 0.5)
 
 
 def first_found(effect, joints=(LOADED,), seconds=4.0, command=SWING):
@@ -41,7 +41,7 @@ def test_the_tendon_that_broke_is_named_among_those_of_all_joints():
 
 @pytest.mark.slow
 def test_a_broken_tendon_of_a_joint_that_has_but_one_is_found_once_it_is_reeled_in():
-    alone = joint(0.4, spring=300.0, tendons=1, pretension=2.0)
+    alone = build_joint(0.4, spring=300.0, tendons=1, pretension=2.0)
     effect = BrokenTendon(start=0.5, tendon="a")
     after, finding = first_found(effect, (alone,), 6.0, lambda _: (0.002, 0.0))
     assert finding == (BROKEN, 0)
@@ -128,6 +128,6 @@ def test_a_healthy_joint_raises_no_alarm(what):
     errors = rng.uniform(0.98, 1.02), rng.uniform(0.97, 1.03)
     command = random_command(rng, 0.006, seconds)
     record = follow(
-        [joint(K, **settings)], [command], seconds, errors=errors, effects=effects, seed=7
+        [build_joint(K, **settings)], [command], seconds, errors=errors, effects=effects, seed=7
     )
     assert record.found == ()

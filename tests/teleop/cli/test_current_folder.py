@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.testbed.processes import OURS, free_ports
+from studies.testbed.processes import OURS, find_free_ports
 from tests.root import ROOT
 
 TELEOP = Path(sys.executable).with_name("teleop")
@@ -48,7 +48,7 @@ def crowded(tmp_path):
 def test_a_session_through_its_proxy_imports_nothing_from_the_current_folder(
     crowded, demo_config, tmp_path
 ):
-    master, slave, proxy = (f"127.0.0.1:{port}" for port in free_ports(3))
+    master, slave, proxy = (f"127.0.0.1:{port}" for port in find_free_ports(3))
     words = ["--config", demo_config, "--duration", "2", "--view", "none", "--record", "recordings"]
     for change in (
         f"link.master={master}",
@@ -81,7 +81,7 @@ def test_a_session_through_its_proxy_imports_nothing_from_the_current_folder(
 def test_the_processes_of_a_session_do_not_either_and_a_port_in_use_is_one_line(
     crowded, demo_config
 ):
-    (master,) = free_ports(1)
+    (master,) = find_free_ports(1)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

@@ -8,7 +8,7 @@ from slave.config import SlaveConfig, load_tendon_configs
 from slave.gate import GateConfig
 from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
 from slave.simulation.environment import WallConfig
-from studies.testbed.control_bench import joint
+from studies.testbed.control_bench import build_joint
 from studies.transparency.hand import DT, Arm, build_reach
 from studies.transparency.system import (
     SETTLED,
@@ -51,7 +51,7 @@ class OnRig:
     [(PassivityConfig(), 0.200), pytest.param(DirectConfig(), 0.200, marks=pytest.mark.slow)],
 )
 def test_a_wall_behind_a_sheath(coupling, round_trip):
-    plant = joint(0.8, environment=WallConfig(position=0.002, stiffness=5000.0))
+    plant = build_joint(0.8, environment=WallConfig(position=0.002, stiffness=5000.0))
     rig_config = SimulatedRigConfig(joints=(plant,))
     slave = SlaveConfig(
         rig=rig_config,

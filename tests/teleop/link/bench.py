@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
-from studies.testbed.processes import free_ports
+from studies.testbed.processes import find_free_ports
 from teleop.link import LatestMessage, Link, LinkConfig
 from teleop.link.rate_limit import RefusalCounter
 from teleop.messages.messages import LAYOUT, Command
@@ -20,7 +20,7 @@ MS = 1_000_000
 
 def free_config(**changes: Any) -> LinkConfig:
     """A link on two loopback ports that nobody has."""
-    master, slave = (f"127.0.0.1:{port}" for port in free_ports(2))
+    master, slave = (f"127.0.0.1:{port}" for port in find_free_ports(2))
     return LinkConfig(**{"master": master, "slave": slave} | changes)
 
 

@@ -6,7 +6,7 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 
-from studies.testbed.processes import free_ports
+from studies.testbed.processes import find_free_ports
 from teleop.errors import PeerError, TeleopError
 from teleop.link import Link, LinkConfig, Listener
 from teleop.link.network import open_session
@@ -23,7 +23,7 @@ SERVED = ("a", "b", "room-1", "room-1-left", "room-2")  # one is the beginning o
 
 
 def endpoints(count: int) -> list[str]:
-    return [f"127.0.0.1:{port}" for port in free_ports(count)]
+    return [f"127.0.0.1:{port}" for port in find_free_ports(count)]
 
 
 @contextmanager
