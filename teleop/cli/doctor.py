@@ -278,14 +278,8 @@ _PACKAGES_SHOWN = 8
 def measure_startup(side: str) -> tuple[float, float, Counter[str]]:
     """Start a side of a session until it would open its hardware; return where the time went.
 
-    Returns
-    -------
-    first_s : float
-        Time of a start that compiled first [s]; 0 if all was compiled.
-    total_s : float
-        Time of a start with compiled code [s].
-    imports : Counter
-        Of it, import time of each package [us], without what the package itself imports.
+    The times of a start that compiled first [s], 0 if all was compiled, and of one with compiled
+    code [s]; of that the import time of each package [us], without what the package itself imports.
     """
     first_s = 0.0
     while True:

@@ -236,10 +236,7 @@ def assemble_tendon_rows(
     The arms have the first of the `joints`, one arm after another; the others have tendons of
     their own.
 
-    Raises
-    ------
-    ValueError
-        The arms have more joints than there are, or more tendons than these.
+    Raises `ValueError` if the arms have more joints than there are, or more tendons than these.
     """
     n, count = len(joints), sum(arm.joints for arm in arms)
     if count > n:
@@ -274,16 +271,9 @@ def find_tendon_groups(travel: Array) -> list[tuple[list[int], Array]]:
     """Return the groups of tendons that balance, and the tensions in balance over their least.
 
     A group is n + 1 tendons of n joints, or three of a curved section. Their tips travel by
-    sum t_i x_i = const.
+    sum t_i x_i = const. `travel` has the shape (tendons, joints).
 
-    Parameters
-    ----------
-    travel : array, shape (tendons, joints)
-
-    Raises
-    ------
-    ValueError
-        Tendons do not fall into such groups; the message names one.
+    Raises `ValueError` if tendons do not fall into such groups; the message names one.
     """
     balanced = np.eye(len(travel)) - travel @ np.linalg.pinv(travel)
     groups: list[tuple[list[int], Array]] = []

@@ -22,21 +22,8 @@ class ExtensionFault(TeleopError):
 class CheckedExtension:
     """An open extension of a loop, whose mistakes are an `ExtensionFault` that names them.
 
-    Parameters
-    ----------
-    key : str
-        Of the config, in messages.
-    config : Extension
-        Names it.
-    open_it : callable
-        Returns the object.
-    *methods : str
-        That it must have.
-
-    Raises
-    ------
-    UsageError
-        It cannot be opened, or lacks a method.
+    `key` is its place in the config, for messages, `config` names it; `open_it` returns the object,
+    which must have all `methods`. Raises `UsageError` if it cannot be opened, or lacks a method.
     """
 
     def __init__(

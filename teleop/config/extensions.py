@@ -56,18 +56,10 @@ class Extension:
 def resolve_object(name: str, group: str) -> Any:
     """Return the object of a name, which is imported.
 
-    Parameters
-    ----------
-    name : str
-        `package.module:Name`, or the name of an entry point.
-    group : str
-        Of entry points.
+    The `name` is `package.module:Name`, or that of an entry point in the `group`.
 
-    Raises
-    ------
-    ExtensionError
-        There is no such package, module, attribute or entry point, importing it fails, or it is
-        neither an entry point nor allowed (`allow_imports`).
+    Raises `ExtensionError` if there is no such package, module, attribute or entry point, importing
+    it fails, or it is neither an entry point nor allowed (`allow_imports`).
     """
     if name in policy.classes:
         return policy.classes[name]
@@ -123,10 +115,7 @@ def name_class(config: Extension) -> str:
     That of a script is the module of its file: it is imported where the extension is used, so what
     it runs belongs below `if __name__ == "__main__"`.
 
-    Raises
-    ------
-    UsageError
-        Another process cannot import the class: it is not defined in a file.
+    Raises `UsageError` if another process cannot import the class: it is not defined in a file.
     """
     if config.type:
         return config.type

@@ -8,16 +8,8 @@ def suggest_spelling(
 ) -> str:
     """Return a hint to put behind an error, empty if no allowed word is close.
 
-    Parameters
-    ----------
-    word
-        What was written.
-    allowed
-        What could have been written.
-    most
-        How many words are suggested at most.
-    cutoff
-        Least similarity, from 0 to 1 (`difflib.get_close_matches`).
+    At most `number` words are suggested, of a similarity of at least `cutoff`, from 0 to 1
+    (`difflib.get_close_matches`).
     """
     import difflib  # slow to import, and needed only for a mistake
 

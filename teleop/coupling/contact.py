@@ -107,16 +107,10 @@ def predict_force(
 ) -> float:
     """Return the received `force` [N] with what the local model adds; call it once a tick.
 
-    Parameters
-    ----------
-    force : float
-        Received, positive against pulling; returned if it is not finite.
-    position, velocity : float
-        Of the hand, in tip units [m], [m/s]; only differences of `position` matter.
-    stiffness_max : float
-        Upper bound of the stiffness [N/m]; 0 = nothing is added.
-    dt : float
-        Time since the last tick [s].
+    The `force`, positive against pulling, is returned if it is not finite. `position` [m] and
+    `velocity` [m/s] are those of the hand, in tip units; only differences of `position` matter.
+    `stiffness_max` [N/m] bounds the stiffness, with 0 nothing is added; `dt` [s] is the time since
+    the last tick.
     """
     if not contact.is_known or stiffness_max <= 0.0:
         return force

@@ -234,12 +234,7 @@ _FIELDS = ("credit", "put_in", "taken_out", "passed_on", "received", "dissipated
 class LedgerPublisher:
     """Fills in the message about the ledger of one side, every `LEDGER_PERIOD_NS`.
 
-    Parameters
-    ----------
-    sides : Records
-        `Side`, shape (1,), of a loop.
-    joints : int
-        Number of its ports in use.
+    `sides` are the `Side` of a loop, shape (1,), of which `joints` ports are in use.
     """
 
     def __init__(self, role: Role, sides: StructArray, joints: int) -> None:

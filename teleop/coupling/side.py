@@ -42,12 +42,8 @@ class Side(Struct):
 def receive_totals(side: Side, sender: int, energy: Array, wave: Array) -> None:
     """Process the totals of the other side.
 
-    Parameters
-    ----------
-    sender : int
-        Its nonce; a new sender is counted from its first message.
-    energy, wave : ndarray
-        Sums passed on [J] and waves sent [sqrt(J s)], shape (MAX_JOINTS,).
+    `sender` is its nonce; a new one is counted from its first message. `energy` [J] and `wave`
+    [sqrt(J s)] are the sums passed on and the waves sent, shape (MAX_JOINTS,).
     """
     if sender != side.sender:
         for k in range(MAX_JOINTS):
@@ -64,10 +60,7 @@ def update_contact_models(
 ) -> None:
     """Take over what a new state of the slave says of the tips, for a `render_force` that predicts.
 
-    Parameters
-    ----------
-    travel, force : ndarray
-        Estimated tip travels [m] and forces [N], first `axes`.
+    `travel` [m] and `force` [N] are the estimated ones of the tips, first `axes`.
     """
     if settings.kind != PASSIVITY:
         return
@@ -156,13 +149,8 @@ def render_force(
 
     Uses the energy ledger as `count_hand_work` left it, plus what `receive_totals` added since.
 
-    Parameters
-    ----------
-    force : ndarray
-        Received tip forces [N], first `axes`.
-    rendered : ndarray
-        Overwritten with the forces [N] in tip units, first `axes`; equal to `force` if not coupled.
-        May be the same array as `force`.
+    `force` are the received tip forces [N], first `axes`. `rendered`, which may be the same array,
+    is overwritten with the forces [N] in tip units, first `axes`; equal to `force` if not coupled.
     """
     for k in range(axes):
         if side.coupled and settings.kind == PASSIVITY:

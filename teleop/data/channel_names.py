@@ -116,12 +116,9 @@ class Columns:
 
 
 def check_names(path: Path, names: Collection[str]) -> None:
-    """Refuse columns whose name contradicts its unit, such as `proximal_tension_Nm`.
+    """Raise `UsageError` with the right name for one that contradicts its unit.
 
-    Raises
-    ------
-    UsageError
-        One line with the right name.
+    Such as `proximal_tension_Nm`.
     """
     for name in names:
         match = _COLUMN_NAME.fullmatch(name)
@@ -161,10 +158,7 @@ def check_linear_names(path: Path, names: Collection[str]) -> None:
 def detect_units(path: Path, names: Collection[str], number: int = 1) -> Units:
     """Return the units of a record with such columns; linear where none tells.
 
-    Raises
-    ------
-    UsageError
-        It is linear in part and rotary in part.
+    Raises `UsageError` if it is linear in part and rotary in part.
     """
     present = {
         units: [
@@ -206,10 +200,7 @@ def detect_units(path: Path, names: Collection[str], number: int = 1) -> Units:
 def detect_option_units(words: Sequence[str]) -> Units | None:
     """Return the units that channel names in `--column` tell, None where they tell none.
 
-    Raises
-    ------
-    UsageError
-        They contradict one another.
+    Raises `UsageError` if they contradict one another.
     """
     options = [
         ROTARY if "_torque" in w or "_angle" in w else FORCE for w in words if _has_unit_hint(w)

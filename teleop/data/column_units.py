@@ -115,10 +115,7 @@ class Aliases(NamedTuple):
 def find_aliases(path: Path, raw: RawTable) -> Aliases:
     """Return which columns are standard ones in another unit or spelling.
 
-    Raises
-    ------
-    UsageError
-        Two columns could be one.
+    Raises `UsageError` if two columns could be one.
     """
     aliases = Aliases({}, {})
     for name, column in raw.columns.items():
@@ -219,17 +216,11 @@ def _find_unit_factor(
 ) -> tuple[str, float]:
     """Return the unit of a column and its size in the unit of `units`; ("", 1) if none is known.
 
-    Parameters
-    ----------
-    name, channel : str
-        Of the column, and the field of `MeasuredTable` that it is for.
-    stated_unit, row_unit : str
-        The unit by the option, with a scale or without, and that below the names; "" for none.
+    `channel` is the field of `MeasuredTable` that the column is for; `stated_unit` the unit by the
+    option, with a scale or without, and `row_unit` that below the names, "" for none.
 
-    Raises
-    ------
-    UsageError
-        The unit is of another dimension; or it is unknown, and the option or brackets tell it.
+    Raises `UsageError` if the unit is of another dimension, or is unknown, and the option or
+    brackets tell it.
     """
     dimension = _find_dimension(channel, units)
     factors = UNIT_FACTORS[dimension]

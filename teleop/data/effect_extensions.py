@@ -17,14 +17,9 @@ def is_extension(name: str) -> bool:
 
 
 def load_effects(name: str, origin: str = "--effects") -> tuple[Effect, ...]:
-    """Return the effect, or its variants, by name.
+    """Return the effect, or its variants, by name, which it keeps in model files.
 
-    The effect keeps this name in model files.
-
-    Raises
-    ------
-    UsageError
-        The name is not that of an effect.
+    Raises `UsageError` if the name is not that of an effect.
     """
     try:
         loaded = resolve_object(name, ENTRY_POINT_GROUP)

@@ -27,12 +27,8 @@ PROGRESS_DELAY_S = 0.5
 def read(path: Path, layout: Layout, first: Sequence[str]) -> dict[str, NDArray[Any]] | None:
     """Return the columns of a CSV file in UTF-8, or None if the reader of rows has to read it.
 
-    Numbers become float64, blank cells NaN; a column that begins with text is of text.
-
-    Parameters
-    ----------
-    first : sequence of str
-        The cells of the first row.
+    Numbers become float64, blank cells NaN; a column that begins with text, by the cells of the
+    `first` row, is of text.
     """
     names = layout.names
     if len(first) != len(names) or not all(names):

@@ -82,10 +82,7 @@ class TableMapping:
 def load_mapping(args: argparse.Namespace) -> TableMapping:
     """Return how tables are to be read, by `--mapping`, `--rate`, `--decimal` and `--run`.
 
-    Raises
-    ------
-    UsageError
-        The file or an option is invalid.
+    Raises `UsageError` if the file or an option is invalid.
     """
     mapping = read_mapping(args.mapping)
     for option, key in {"rate": "rate_hz", "decimal": "decimal", "run": "run"}.items():
@@ -130,10 +127,7 @@ def parse_column_options(words: Sequence[str], tendon: int = 0) -> NamedColumns:
 
     NAME may be that of a torque, an angle or a force, such as `proximal_torque`.
 
-    Raises
-    ------
-    UsageError
-        An override is none, or they are linear in part and rotary in part.
+    Raises `UsageError` if an override is none, or they are linear in part and rotary in part.
     """
     pairs = [word.partition("=") for word in words]
     units = channel_names.detect_option_units([name for name, _, _ in pairs])

@@ -127,12 +127,8 @@ def to_yaml(saved: SavedModel, remark: str) -> str:
 def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> SavedModel:
     """Read a model: its numbers and its effects, without those of single records.
 
-    An effect that is not among `effects` is imported, as `teleop.config.extensions` allows.
-
-    Raises
-    ------
-    UsageError
-        The file is not a model file or is invalid; one line.
+    An effect that is not among `effects` is imported, as `teleop.config.extensions` allows. Raises
+    `UsageError` if the file is not a model file or is invalid.
     """
     tree = strict_yaml.read(path, "model")
     if isinstance(tree, dict) and "transmission" in tree:

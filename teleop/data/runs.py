@@ -34,19 +34,10 @@ def split_runs(
 ) -> dict[int, str]:
     """Return the first row of each run, and why it begins there.
 
-    Parameters
-    ----------
-    time : array, shape (samples,)
-        In any unit; NaN where it is missing.
-    used : collection of str
-        Columns of channels, which name no run.
-    mapping : TableMapping
-        Which column names the run; run 0: all rows are one.
+    `time`, shape (samples,), is in any unit, NaN where it is missing; `used` are columns of
+    channels, which name no run. `mapping` says which column names the run; run 0: all rows are one.
 
-    Raises
-    ------
-    UsageError
-        A column seems to name runs, but their rows are mixed.
+    Raises `UsageError` if a column seems to name runs, but their rows are mixed.
     """
     if mapping.run == 0:
         return {0: ""}

@@ -89,19 +89,10 @@ def write_table(path: Path, columns: Mapping[str, Column]) -> None:
 
 
 def write_batches(path: Path, batches: Iterable[Any]) -> None:
-    """Write the parts of a table, one after another, atomically; the suffix decides the format.
+    """Write the parts of a table, one after another, atomically, in the format of `write_table`.
 
-    Parameters
-    ----------
-    path : Path
-        .csv, .csv.gz or .parquet.
-    batches : iterable of pyarrow.RecordBatch
-        Of one schema, at least one.
-
-    Raises
-    ------
-    UsageError
-        The file cannot be written.
+    `batches` are of `pyarrow.RecordBatch`, of one schema, at least one. Raises `UsageError` if the
+    file cannot be written.
     """
     check_destination(path)
     parts = iter(batches)

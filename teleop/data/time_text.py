@@ -44,19 +44,10 @@ def to_seconds(
     next row is the next day if the time of day falls, and midnight passes without a date where it
     falls by more than half a day.
 
-    Parameters
-    ----------
-    place : callable
-        Row -> its place in the file.
-    form : str
-        Format of `strptime`; by default the forms of this module's docstring.
-    dates : array of str, optional
-        The cells of a column of dates beside a time of day.
-
-    Raises
-    ------
-    ValueError
-        A cell is no such time, or it cannot be told how many days passed; with its place.
+    `place` returns the place of a row in the file; `form` is a format of `strptime`, by default the
+    forms of this module's docstring; `dates` are the cells of a column of dates beside a time of
+    day. Raises `ValueError`, with the place, if a cell is no such time, or it cannot be told how
+    many days passed.
     """
     moments = np.zeros(len(cells), dtype=np.int64)
     blank = np.zeros(len(cells), dtype=np.bool_)

@@ -29,10 +29,7 @@ _AFTER = (
 def build_columns(factors: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the names of the columns, those of the conditions among them.
 
-    Raises
-    ------
-    UsageError
-        A factor has the name of another column.
+    Raises `UsageError` if a factor has the name of another column.
     """
     for name in factors:
         if name in _BEFORE + _AFTER or not name.isprintable():
@@ -134,10 +131,7 @@ class TrialTable:
     def replay(self, sequence: TrialSequence) -> None:
         """Bring a sequence to where these rows end.
 
-        Raises
-        ------
-        UsageError
-            A row is not the trial that the design gives; one line.
+        Raises `UsageError` if a row is not the trial that the design gives.
         """
         for line, row in enumerate(self.rows, 2):
             expected = None if sequence.is_done else self._describe_trial(sequence.choose_trial())
@@ -149,12 +143,9 @@ class TrialTable:
             sequence.record(row["response"])
 
     def append(self, trial: Trial, values: Mapping[str, Any]) -> None:
-        """Write a row; on return it is on the disk.
+        """Write a row, `values` in the columns that are not the trial's own.
 
-        Parameters
-        ----------
-        values : mapping
-            The columns that are not the trial's own.
+        On return it is on the disk.
         """
         texts = {name: format_value(value) for name, value in values.items()}
         row = self._describe_trial(trial) | texts

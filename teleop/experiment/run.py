@@ -297,10 +297,7 @@ class _Stage(AbstractContextManager["_Stage"]):
     def present(self, trial: Trial) -> int:
         """Present all intervals of a trial; return when the first began [ns].
 
-        Raises
-        ------
-        TeleopError
-            The session faulted or left engagement.
+        Raises `TeleopError` if the session faulted or left engagement.
         """
         live, fixed = _split(self._experiment.set_condition(trial.condition))
         if self._config is not None and (self._own is None or fixed != self._fixed):
@@ -332,10 +329,7 @@ class _Stage(AbstractContextManager["_Stage"]):
     def abandon(self, trial: Trial, reason: str) -> None:
         """Mark a trial as not to be used; end our session if it has failed.
 
-        Raises
-        ------
-        TeleopError
-            It has failed, and is not ours to start again.
+        Raises `TeleopError` if it has failed, and is not ours to start again.
         """
         self._applied = {}
         if self.session is None:  # it could not start, and may the next time

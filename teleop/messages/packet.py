@@ -29,14 +29,8 @@ _HEAD_START = len(ENCAPSULATION)  # in the message
 class Packet(Generic[M]):
     """One message, as bytes and as a record.
 
-    Attributes
-    ----------
-    records : Records
-        Shape (1,), for compiled functions.
-    record : M
-        A view of it, with the fields of the message class.
-    data : memoryview
-        The bytes of the whole message; writing to them changes the record.
+    `records`, shape (1,), are for compiled functions, `record` is a view of them with the fields of
+    the message class. Writing to `data`, the bytes of the whole message, changes the record.
     """
 
     def __init__(self, message: type[M]) -> None:

@@ -287,25 +287,12 @@ def read_columns(
 
     Of a truncated or damaged file those that can be read.
 
-    Parameters
-    ----------
-    topic : str
-        Name of the topic, as in `teleop.messages.topics`.
-    names : sequence of str, optional
-        The fields to read; fewer fields take less memory. All by default.
-    doubt : callable, optional
-        Called with one line if the file is truncated or damaged.
+    Its fields are `log_time_ns` (received) and `publish_time_ns` (sent), then those of the message;
+    rows are in the order of the file. The `topic` is named as in `teleop.messages.topics`; `names`
+    are the fields to read, all by default: fewer take less memory. `doubt` is called with one line
+    if the file is truncated or damaged.
 
-    Returns
-    -------
-    ndarray
-        Fields `log_time_ns` (received) and `publish_time_ns` (sent), then those of the message;
-        rows in the order of the file.
-
-    Raises
-    ------
-    RecordingError
-        If the file is not a recording, or has no such topic or field.
+    Raises `RecordingError` if the file is not a recording, or has no such topic or field.
     """
     scan = Scan(Path(path))
     parts: list[NDArray[np.void]] = []

@@ -19,12 +19,9 @@ _INFINITE_DURATION = {"sec": 9223372036, "nsec": 854775807}
 
 
 class BagWriter:
-    """A bag being written, as a context manager; the folder must not exist.
+    """A bag being written, as a context manager.
 
-    Raises
-    ------
-    UsageError
-        The folder exists already or cannot be made.
+    Raises `UsageError` if the folder exists already or cannot be made.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -106,16 +106,9 @@ def build_diagnostics(
 ) -> Any:
     """Return the status of both sides, a DiagnosticArray.
 
-    Parameters
-    ----------
-    reports : mapping
-        Newest report of each side, and when it was received [ns].
-    events : mapping
-        Newest event of each side.
-    now_ns : int
-        Present stamp [ns].
-    refused : str
-        Why commands of ROS nodes are refused; empty if there are none.
+    `reports` has the newest report of each side, and when it was received [ns], `events` the newest
+    event of each; `now_ns` is the present stamp [ns]; `refused` says why commands of ROS nodes are
+    refused, empty if there are none.
     """
     status = [
         _build_status(session, role, reports.get(role), events.get(role), now_ns) for role in SIDES

@@ -104,10 +104,8 @@ def encode(message: Any) -> bytes:
 def decode(name: str, data: bytes) -> Any:
     """Return the message of type `name` in `data`.
 
-    Raises
-    ------
-    CdrError
-        Too short, too long, not little-endian CDR, or text that is not UTF-8.
+    Raises `CdrError` if it is too short or long, no little-endian CDR, or has text that is not
+    UTF-8.
     """
     from rosbags.serde import SerdeError
 

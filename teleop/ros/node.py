@@ -15,12 +15,7 @@ SampleCallback = Callable[[bytes, bytes, int], None]
 class RosNode:
     """A node, as a context manager.
 
-    Parameters
-    ----------
-    domain : int
-        ROS_DOMAIN_ID.
-    name : str
-        Of the node, without a namespace.
+    `domain` is ROS_DOMAIN_ID; the `name` of the node is without a namespace.
     """
 
     def __init__(self, router: str, domain: int, name: str) -> None:
@@ -79,14 +74,9 @@ class RosNode:
 
 
 class RosPublisher:
-    """Publishes one topic.
+    """Publishes one topic; `sent` messages so far.
 
-    Attributes
-    ----------
-    sent : int
-        Number of messages so far.
-    wanted : bool
-        Whether anyone subscribed at the last `look`.
+    `wanted` is whether anyone subscribed at the last `look`.
     """
 
     def __init__(self, samples: RosSampleSender, gid: bytes) -> None:

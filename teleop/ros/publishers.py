@@ -33,16 +33,8 @@ _DIAGNOSTICS, _FRAMES = _BY_NAME["/diagnostics"], _BY_NAME["/tf"]
 class Publishers:
     """The topics of a session in the ROS graph.
 
-    Parameters
-    ----------
-    link : Link
-        Of the session, as a listener.
-    config : RosConfig
-        Which topics, and how often.
-    say : callable
-        Prints a line.
-    arms : tuple of RosArm
-        Those of the session.
+    `link` is that of the session, as a listener; `config` says which topics, and how often; `say`
+    prints a line; `arms` are those of the session.
     """
 
     def __init__(

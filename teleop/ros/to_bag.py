@@ -50,16 +50,9 @@ def to_bench_measured(state: TendonState) -> Iterator[Sample]:
 class BagConverter:
     """Converts the messages of a recording one by one.
 
-    Parameters
-    ----------
-    session : str
-        Of the recording, for the diagnostics.
-    prefix : str
-        Before topics and frames.
-    period_s : float
-        [s] least time between two messages of a live topic; 0 = all.
-    arms : tuple of RosArm
-        Those of the session.
+    `session` is that of the recording, for the diagnostics, `prefix` stands before topics and
+    frames; between two messages of a live topic there are at least `period_s` [s], 0 = all; `arms`
+    are those of the session.
     """
 
     def __init__(

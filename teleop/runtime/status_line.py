@@ -16,12 +16,7 @@ _PERIOD_S = 0.2  # between two drawings of the status line
 class StatusLine:
     """One line kept at the bottom of a terminal, with ordinary lines printed above it.
 
-    Without a terminal only ordinary lines are printed.
-
-    Attributes
-    ----------
-    live : bool
-        Whether there is a terminal.
+    Only ordinary lines are printed without a terminal; `live` is whether there is one.
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:

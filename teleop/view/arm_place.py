@@ -124,17 +124,8 @@ class ArmPlace:
     def build_interval(self, tips: Array, forces: TipForces, limit: float, length: float) -> Array:
         """Return lines through the ends of the arrows, from the low to the high end of each axis.
 
-        An end beyond `limit` [N] is drawn there, an axis that is not told as a point.
-
-        Parameters
-        ----------
-        tips : array, shape (n, 3)
-        length : float
-            [m] drawn for a newton.
-
-        Returns
-        -------
-        array, shape (n, 3, 2, 3)
+        An end beyond `limit` [N] is drawn there, an axis that is not told as a point. For a newton
+        `length` [m] is drawn. The tips have the shape (n, 3), the lines (n, 3, 2, 3).
         """
         is_identified = forces.axis_shares >= AXIS_SHARE_MIN
         ends = np.repeat(forces.force[:, None, None], 3, axis=1).repeat(2, axis=2)

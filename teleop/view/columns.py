@@ -51,15 +51,9 @@ def build_columns(
 ) -> list[rr.ComponentColumn]:
     """Return the columns of some fields of an archetype.
 
-    Parameters
-    ----------
-    archetype : type
-        Such as `rerun.LineStrips2D`.
-    counts : array_like, optional
-        How many of the values are each row's; one if left out.
-    **fields
-        The values of all rows, one after another: numbers, texts, points (n, 2 or 3), or `Strips`,
-        of which an empty sequence is of two dimensions.
+    The `archetype` is such as `rerun.LineStrips2D`. `fields` are the values of all rows, one after
+    another: numbers, texts, points (n, 2 or 3), or `Strips`, of which an empty sequence is of two
+    dimensions; `counts` says how many of them are each row's, one if left out.
     """
     made = []
     for name, values in fields.items():

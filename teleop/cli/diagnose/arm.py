@@ -33,10 +33,7 @@ def is_of_arm(args: argparse.Namespace) -> bool:
 
     A config that is given must describe an arm; that of a recording is used if it does.
 
-    Raises
-    ------
-    UsageError
-        The config has no arm, or options do not go with one.
+    Raises `UsageError` if the config has no arm, or options do not go with one.
     """
     if args.tendon is not None:
         return False
