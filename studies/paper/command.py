@@ -123,7 +123,7 @@ def build_page(
         page.add_points(report.list_worst_sheaths(outcomes, method, seed))
     page.add_heading("Figures")
     for file, caption in captions.items():
-        page.add_figure(folder / file, caption)
+        page.add_image((folder / file).read_bytes(), caption)
     return page.render()
 
 

@@ -2,15 +2,16 @@
 
 import base64
 import html
+import io
 import math
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from estimator.drawing import format_html_table
+from estimator.drawing import format_html_table, use_style
 from estimator.text_table import Table
 
 # --- values as JSON has them: no records, no numpy types, nothing that is not finite
@@ -99,10 +100,16 @@ class Page:
             self.add_text(text)
         self.add_table(table, mark)
 
-    def add_figure(self, path: Path, caption: str) -> None:
-        """Add a PNG file, its bytes in the page."""
-        data = base64.b64encode(path.read_bytes()).decode()
-        words = html.escape(caption)
+    def add_figure(self, figure: Figure, caption: str) -> None:
+        """Add a figure of Matplotlib as an image."""
+        image = io.BytesIO()
+        with use_style():
+            figure.savefig(image, format="png")
+        self.add_image(image.getvalue(), caption)
+
+    def add_image(self, png: bytes, caption: str) -> None:
+        """Add the bytes of a PNG file."""
+        data, words = base64.b64encode(png).decode(), html.escape(caption)
         self._parts.append(
             f'<figure><img src="data:image/png;base64,{data}" alt="{words}">'
             f"<figcaption>{words}</figcaption></figure>"

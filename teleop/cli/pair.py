@@ -18,7 +18,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import numpy as np
@@ -38,7 +37,7 @@ from teleop.data.sample_checks import check_effort, check_time
 from teleop.data.table import Source, number_samples, parse_column
 from teleop.data.table_files import read_columns
 from teleop.errors import UsageError
-from teleop.runtime.output_file import make_folder, save_figure
+from teleop.runtime.output_file import make_folder
 from teleop.runtime.process import print_warning, write_summary, write_text_file
 from teleop.runtime.status_line import Progress
 
@@ -240,46 +239,31 @@ def build_report(study: PairStudy, seconds: float) -> dict[str, Any]:
 # --- report.html, on one self-contained page
 
 
-def write_figures(study: PairStudy, folder: Path) -> dict[str, str]:
-    """Write all figures into `folder`; return their captions by file name."""
-    from estimator.drawing import use_style  # with matplotlib, which takes long
-    from estimator.pair.figures import draw_figures
-
-    captions = {}
-    with use_style():
-        for drawn in draw_figures(study):
-            file = f"pair-{drawn.name}.png"
-            save_figure(drawn.figure, folder / file)
-            captions[file] = drawn.caption
-    return captions
-
-
 def render(study: PairStudy, readings: Sequence[Mapping[str, Any]] = ()) -> str:
     """Return the page; `readings` are how the files were read."""
+    from estimator.pair.figures import draw_figures  # with matplotlib, which takes long
     from teleop.cli.html_page import Page
 
+    friction, loops, residuals = draw_figures(study)
     page = Page(report_text.format_sentence(study))
     for sentence in report_text.format_model_warning(study):
         page.add_text(sentence)
     page.add_section("Friction against bend", report_text.build_friction_table(study))
-    with TemporaryDirectory() as folder:
-        captions = write_figures(study, Path(folder))
-        paths = {name: Path(folder) / name for name in captions}
-        page.add_figure(paths["pair-friction.png"], captions["pair-friction.png"])
-        page.add_section("The model for all bends", report_text.build_parameter_table(study))
-        text = "Root mean square of the angle's error, and its share of the span."
-        table = report_text.build_held_out_table(study)
-        page.add_section("Bends that were not fitted", table, text, mark=report_text.OWN_METHOD)
-        page.add_figure(paths["pair-loops.png"], captions["pair-loops.png"])
-        if study.validation:
-            table = report_text.build_validation_table(study.validation)
-            page.add_section("Bends kept apart", table)
-        page.add_heading("What is wrong")
-        page.add_points(report_text.describe_errors(study))
-        page.add_table(report_text.build_residual_table(study))
-        page.add_figure(paths["pair-left.png"], captions["pair-left.png"])
-        page.add_heading("How the data were read")
-        page.add_points([f"{each['file']}: {format_reading(each)}" for each in readings])
+    page.add_figure(friction.figure, friction.caption)
+    page.add_section("The model for all bends", report_text.build_parameter_table(study))
+    text = "Root mean square of the angle's error, and its share of the span."
+    table = report_text.build_held_out_table(study)
+    page.add_section("Bends that were not fitted", table, text, mark=report_text.OWN_METHOD)
+    page.add_figure(loops.figure, loops.caption)
+    if study.validation:
+        table = report_text.build_validation_table(study.validation)
+        page.add_section("Bends kept apart", table)
+    page.add_heading("What is wrong")
+    page.add_points(report_text.describe_errors(study))
+    page.add_table(report_text.build_residual_table(study))
+    page.add_figure(residuals.figure, residuals.caption)
+    page.add_heading("How the data were read")
+    page.add_points([f"{each['file']}: {format_reading(each)}" for each in readings])
     return page.render()
 
 

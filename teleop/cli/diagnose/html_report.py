@@ -3,8 +3,6 @@
 from collections.abc import Mapping, Sequence
 from datetime import date
 from importlib.metadata import version
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from estimator.diagnosis import report_tables, report_text
@@ -16,7 +14,6 @@ from teleop.cli.diagnose import json_report
 from teleop.cli.diagnose.json_report import ComparedParameter
 from teleop.cli.html_page import Page
 from teleop.data.reading import format_reading
-from teleop.runtime.output_file import save_figure
 
 GLOSSARY = Table(
     ("word", "meaning"),
@@ -31,21 +28,6 @@ GLOSSARY = Table(
         ("score", "log-likelihood of held-out samples, less a penalty for each parameter"),
     ),
 )
-
-# --- write the figures of a diagnosis
-
-
-def write_figures(
-    diagnosis: Diagnosis, files: Sequence[str], folder: Path, further: Sequence[str] = ()
-) -> dict[str, str]:
-    """Write all figures into `folder` as PNG; return their captions by file name."""
-    captions = {}
-    with use_style():
-        for drawn in draw_figures(diagnosis, files, further):
-            file = f"diagnosis-{drawn.name}.png"
-            save_figure(drawn.figure, folder / file)
-            captions[file] = drawn.caption
-    return captions
 
 
 def render(
@@ -74,21 +56,20 @@ def render(
         size = report_text.describe_size(diagnosis, step)
         rows = [("Size (95 % interval)", size), ("As good", rivals), ("Do", step.effect.advice)]
         page.add_card(step.effect.cause, rows)
-    with TemporaryDirectory() as folder:
-        captions = write_figures(diagnosis, files, Path(folder), further)
-        first, *others = captions.items()
-        page.add_figure(Path(folder) / first[0], first[1])
-        page.add_table(report_tables.build_parameter_table(diagnosis))
-        page.add_heading("Next steps")
-        page.add_points(report_text.list_next_steps(diagnosis))
-        page.fold("What the words mean")
-        page.add_table(GLOSSARY)
-        page.fold("All tables and figures")
-        page.add_heading("Before and after")
-        if len(files) > RECORDS_MAX:
-            page.add_text(f"The first {RECORDS_MAX} of {len(files)} files are drawn.")
-        for file, caption in others:
-            page.add_figure(Path(folder) / file, caption)
+    with use_style():
+        first, *others = draw_figures(diagnosis, files, further)
+    page.add_figure(first.figure, first.caption)
+    page.add_table(report_tables.build_parameter_table(diagnosis))
+    page.add_heading("Next steps")
+    page.add_points(report_text.list_next_steps(diagnosis))
+    page.fold("What the words mean")
+    page.add_table(GLOSSARY)
+    page.fold("All tables and figures")
+    page.add_heading("Before and after")
+    if len(files) > RECORDS_MAX:
+        page.add_text(f"The first {RECORDS_MAX} of {len(files)} files are drawn.")
+    for drawn in others:
+        page.add_figure(drawn.figure, drawn.caption)
     if diagnosis.steps:
         page.add_section("Gain", report_tables.build_gain_table(diagnosis))
     page.add_section(

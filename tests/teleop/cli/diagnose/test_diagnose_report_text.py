@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -116,9 +117,7 @@ def test_a_bench_without_a_cause_has_a_page_and_json_too(nothing):
 def test_samples_that_are_kept_out_are_said_by_file(found):
     (record,) = found.dataset.records
     spikes = DataIssue("single-sample spikes", "distal_tension", 3, 1.25)
-    odd = found.dataset._replace(
-        records=(type(record)(**vars(record) | {"issues": (spikes,), "decimation_factor": 5}),)
-    )
+    odd = found.dataset._replace(records=(replace(record, issues=(spikes,), decimation_factor=5),))
     first, second = report_text.list_sample_remarks(found._replace(dataset=odd), ["a.csv"])
     assert first == "a.csv: 3 single-sample spikes (tension at the tip), the first at 1.25 s"
     assert "each 5 samples were averaged" in second
