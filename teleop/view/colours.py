@@ -89,7 +89,7 @@ def compute_luminance(rgb: Sequence[float]) -> float:
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
-PLAIN = 0xF0F0F0FF  # of words and numbers
+PLAIN, LABEL = 0xF0F0F0FF, 0xC0C0C0FF  # of words and numbers, and of those at scales
 # of a link by a word for it
 QUALITIES = {"good": 0x4FD1A5FF, "poor": 0xF0E442FF, "bad": 0xFF6A4BFF, "none": 0xFF6A4BFF}
 _NEAR_LIMIT_SHARE = 0.8  # share of the limit from which a force is shown as near to it

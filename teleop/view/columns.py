@@ -214,6 +214,16 @@ class Sender:
             self._styled.add(path)
             self.send_static(path, archetype)
 
+    def send_words(
+        self, path: str, kind: Any, places: ArrayLike, texts: Any, colour: Any, radius: float = 1e-6
+    ) -> None:
+        """Send texts at places, as static data; of their points nothing is seen without a radius.
+
+        `kind` is `rerun.Points2D` or `rerun.Points3D`.
+        """
+        words = kind(places, labels=texts, colors=colour, radii=radius, show_labels=True)
+        self.send_static(path, words)
+
     def has_style(self, path: str) -> bool:
         """Return whether static data were sent for this entity."""
         return path in self._styled

@@ -291,7 +291,11 @@ def _feed_sink(
     _print_lines(sink)
     lower_priority()  # not before: after a failure the view must be back soon
     if file is not None:
-        return _show_recording(file, config, show, sink, stop)
+        fed = show_recording(file, show, stop, config.file_period_s, sink.publish)
+        if sink.watched:
+            _wait_for_viewer(sink, stop)
+        stop.request("the recording is shown")
+        return fed
 
     def has_ended() -> bool:
         return not any(map(link.is_present, (Role.MASTER, Role.SLAVE)))
@@ -318,15 +322,4 @@ def _feed_sink(
             for topic, c in counts.items()
         }
         summary["rejected"] = {topic.name: c.rejected for topic, c in counts.items()}
-    return fed
-
-
-def _show_recording(
-    path: str, config: ViewConfig, show: BatchDisplay, sink: Sink, stop: StopCondition
-) -> FeedCounts:
-    """Show a recording, and wait until the viewer is closed."""
-    fed = show_recording(path, show, stop, config.file_period_s, sink.publish)
-    if sink.watched:
-        _wait_for_viewer(sink, stop)
-    stop.request("the recording is shown")
     return fed

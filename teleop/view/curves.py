@@ -1,5 +1,6 @@
 """The curves over time: their table, and sending them to Rerun."""
 
+import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -214,7 +215,9 @@ class Plots(Painter):
                 for ahead, due_rows in ((True, displayed), (False, hidden)):
                     for line in self._list_lines(topic, group, due_rows, ahead):
                         self._draw_line(*line)
-                self._draw_bands(group, displayed)
+                bands = group.bands if len(displayed) else ()
+                for band, joint in itertools.product(bands, range(self._joints)):
+                    self._draw_band(band, joint, displayed)
             if topic is TENDONS:
                 self._draw_true_forces(displayed)
             if topic is STATE:
@@ -298,12 +301,6 @@ class Plots(Painter):
         self._sender.send_columns_at(
             path, rows["stamp_ns"][is_shown], build_columns(rr.Scalars, scalars=numbers[is_shown])
         )
-
-    def _draw_bands(self, group: CurveGroup, rows: Rows) -> None:
-        """Draw the areas of a group over joints."""
-        for band in group.bands if len(rows) else ():
-            for joint in range(self._joints):
-                self._draw_band(band, joint, rows)
 
     def _draw_band(self, band: Band, joint: int, rows: Rows) -> None:
         """Draw one area: each row's low end at its stamp, its high end half a period later."""

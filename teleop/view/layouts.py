@@ -159,26 +159,20 @@ class _Views:
 
     def build_profile(self, name: str, joint: int) -> Part:
         """Return T(x) of a joint's tendons."""
-        return self._build_plane(
-            "profile", name, joint, x_range=[-0.25, WIDTH + 0.15], y_range=[-1.2, 0.32]
-        )
+        return self._build_plane("profile", name, joint, [-0.25, WIDTH + 0.15])
 
     def build_loop(self, name: str, joint: int) -> Part:
         """Return the hysteresis loops of a joint's tendons, as far back as the config says."""
         past = _build_past_range(self._config.loop_window_s)
-        return self._build_plane(
-            "loop", name, joint, x_range=[-0.2, 1.85], y_range=[-1.2, 0.32], past=past
-        )
+        return self._build_plane("loop", name, joint, [-0.2, 1.85], [past])
 
     def _build_plane(
         self,
         root: str,
         name: str,
         joint: int,
-        *,
         x_range: list[float],
-        y_range: list[float],
-        past: rr.VisibleTimeRange | None = None,
+        past: list[rr.VisibleTimeRange] | None = None,
     ) -> Part:
         frame = ("axes", "labels", "scale", "names")
         own = [f"tendon_{tendon}/**" for tendon in self._joints[joint]]
@@ -186,9 +180,9 @@ class _Views:
             origin=root,
             contents=[f"/{root}/{part}" for part in (*frame, *own)],
             name=name,
-            visual_bounds=rrb.VisualBounds2D(x_range=x_range, y_range=y_range),
+            visual_bounds=rrb.VisualBounds2D(x_range=x_range, y_range=[-1.2, 0.32]),
             background=_DARK,
-            time_ranges=None if past is None else [past],
+            time_ranges=past,
         )
 
     def build_trace(self, *paths: str, values: tuple[float, float] | None = None) -> _Make:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from teleop.messages.topics import COMMAND, HAND, LINK, REPORT, STATE, Role, format_role
 from teleop.runtime.clock import now_ns
-from teleop.session.state_machine import PEER_REASONS, Reason, State
+from teleop.session.state_machine import PEER_REASONS, Reason, State, to_reason
 from teleop.view.colours import (
     PLAIN,
     QUALITIES,
@@ -56,7 +56,6 @@ _SEVERITY_ORDER = (
 )  # fmt: skip
 # shown even if the peer sends nothing
 _SERIOUS_STATES = {State.STOPPED, State.FAULT, State.HOLDING}
-_REASONS = {int(reason): reason for reason in Reason}
 NO_DATA = "no data"
 NO_LINK = "none"
 _POOR_LOSS, _BAD_LOSS = 0.01, 0.1  # shares of the peer's messages
@@ -81,11 +80,7 @@ def build_banner(sides: Mapping[Role, tuple[int, int]]) -> Banner:
         missing = [format_role(role) for role in (Role.MASTER, Role.SLAVE) if role not in sides]
         return Banner("off", f"waiting for the {' and the '.join(missing)}")
     worst = min(states.values(), key=_SEVERITY_ORDER.index)
-    reasons = [
-        (role, _REASONS.get(sides[role][1], Reason.UNKNOWN))
-        for role, state in states.items()
-        if state is worst
-    ]
+    reasons = [(role, to_reason(sides[role][1])) for role, now in states.items() if now is worst]
     own = [(role, reason) for role, reason in reasons if reason not in PEER_REASONS]
     role, reason = (own or reasons)[0]
     peer = format_role(Role.SLAVE if role is Role.MASTER else Role.MASTER)

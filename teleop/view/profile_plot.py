@@ -13,7 +13,7 @@ import rerun as rr
 
 from estimator.array_types import Array
 from teleop.messages.messages import PROFILE_POINTS
-from teleop.view.colours import BAND, ESTIMATE, FRONT, SECOND, to_rgba
+from teleop.view.colours import BAND, ESTIMATE, FRONT, LABEL, SECOND, to_rgba
 from teleop.view.columns import Rows, Sender, build_columns
 from teleop.view.scene_sheaths import Painter, compute_tension_band
 
@@ -56,19 +56,8 @@ class Plane:
         """Send the axes and their labels."""
         lines, labels = self.build_axes()
         sender.send_static(f"{root}/axes", rr.LineStrips2D(lines, colors=0x808080FF, radii=0.004))
-        draw_words(sender, f"{root}/labels", labels)
-
-
-def draw_words(sender: Sender, path: str, labels: list[tuple[Array, str]]) -> None:
-    """Send texts at places of the plane."""
-    words = rr.Points2D(
-        [at for at, _ in labels],
-        labels=[text for _, text in labels],
-        colors=0xC0C0C0FF,
-        radii=0.0001,
-        show_labels=True,
-    )
-    sender.send_static(path, words)
+        places, texts = zip(*labels, strict=True)
+        sender.send_words(f"{root}/labels", rr.Points2D, places, texts, LABEL)
 
 
 def _choose_tick_step(top: float) -> float:

@@ -40,7 +40,7 @@ from teleop.messages.topics import (
     format_role,
 )
 from teleop.session.state_machine import State
-from teleop.view.colours import FRONT, PHASES, STATES, to_rgba
+from teleop.view.colours import FRONT, LABEL, PHASES, STATES, to_rgba
 from teleop.view.columns import AnyTopic, Rows, Sender, Subsampler, build_columns, split_rows
 from teleop.view.config import ViewConfig
 from teleop.view.curves import Plots
@@ -86,19 +86,11 @@ def _draw_scale(sender: Sender, foot: Array, up: Array, top: float) -> None:
     sender.send_static("scene/legend/scale", bar)
     offset = np.array([0.13 * tall, 0.0, 0.0])
     marks = compute_ticks_to_end(top)
-    words = rr.Points3D(
-        [foot + value / top * up + offset for value in marks],
-        labels=[f"{value:g}" for value in marks],
-        colors=0xC0C0C0FF,
-        radii=1e-6,
-        show_labels=True,
-    )
-    sender.send_static("scene/legend/values", words)
-    title = rr.Points3D(
-        [foot + _TITLE_HEIGHT * up], labels="tension [N]", colors=0xFFFFFFFF, radii=1e-6,
-        show_labels=True,
-    )  # fmt: skip
-    sender.send_static("scene/legend/title", title)
+    places = [foot + value / top * up + offset for value in marks]
+    values = [f"{value:g}" for value in marks]
+    sender.send_words("scene/legend/values", rr.Points3D, places, values, LABEL)
+    title = [foot + _TITLE_HEIGHT * up]
+    sender.send_words("scene/legend/title", rr.Points3D, title, "tension [N]", 0xFFFFFFFF)
 
 
 # --- events as a text log, and the sides' states as coloured lanes over time
@@ -228,10 +220,7 @@ class LoopView:
         """Name the phases, each in its colour."""
         heights = -1.0 + 0.16 * np.arange(len(PHASES))
         at = np.stack([np.full(len(PHASES), 1.4), heights], axis=1)
-        words = rr.Points2D(
-            at, labels=list(PHASE_NAMES), colors=list(PHASES), radii=1e-4, show_labels=True
-        )
-        self._sender.send_static("loop/names", words)
+        self._sender.send_words("loop/names", rr.Points2D, at, list(PHASE_NAMES), list(PHASES))
 
 
 # --- the sheaths in the scene: coloured by tension, thick where the tendon slides, and X'

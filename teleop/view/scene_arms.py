@@ -26,12 +26,10 @@ class Arms(Painter):
         """Draw the static parts and set the styles."""
         for path, place in self._list_places():
             thick, style = self._config.tube_radius * place.size, self._set_style
-            number = int(path.rpartition("_")[2]) + 1
-            name = rr.Points3D(
-                [place.base], radii=1.8 * thick, colors=colours.BODY, show_labels=True,
-                labels=f"arm {number}, x {place.scale:.2g}",
-            )  # fmt: skip
-            self._sender.send_static(f"{path}/base", name)
+            name = f"arm {int(path.rpartition('_')[2]) + 1}, x {place.scale:.2g}"
+            self._sender.send_words(
+                f"{path}/base", rr.Points3D, [place.base], name, colours.BODY, 1.8 * thick
+            )
             self._draw_axes(f"{path}/axes", place, place.base, np.eye(3))
             style(f"{path}/links", rr.LineStrips3D, colors=colours.BODY, radii=0.5 * thick)
             style(f"{path}/links", rr.Points3D, colors=colours.BODY, radii=1.3 * thick)

@@ -157,10 +157,8 @@ class Levers(Painter):
         self._sender.send_static(path, wedge)
 
     def _draw_pivot(self, path: str, lever: Lever, colour: int, radius: float, label: str) -> None:
-        pivot = rr.Points3D(
-            [lever.pivot], radii=radius, colors=colour, labels=label, show_labels=True
-        )
-        self._sender.send_static(f"{path}/pivot", pivot)
+        place = [lever.pivot]
+        self._sender.send_words(f"{path}/pivot", rr.Points3D, place, label, colour, radius)
 
 
 def _build_link(lever: Lever, travel: Array) -> tuple[Array, Columns]:
