@@ -64,7 +64,6 @@ T = TypeVar("T")
 _FIELD_ERROR_PATTERN = re.compile(
     r"^(?P<field>[A-Za-z_]\w*)(?P<rest>[\w.\[\]]*): (?P<what>.*)$", re.DOTALL
 )
-_MISSING = object()
 
 
 def load(path: Path | None, cls: type[T], section: str | None, overrides: Sequence[str] = ()) -> T:
@@ -232,13 +231,13 @@ class _Builder:
                 )
         values = {}
         for name, item in fields.items():
-            preset = getattr(base, name) if isinstance(base, cls) else _find_default(item)
+            preset = getattr(base, name) if isinstance(base, cls) else find_default(item)
             if name in data:
                 allow = "may_be_infinite" in item.metadata or item.default == math.inf
                 values[name] = self.build_value(
                     hints[name], data[name], (*keys, name), preset, allow
                 )
-            elif preset is _MISSING:
+            elif preset is dataclasses.MISSING:
                 raise self.source.build_error(
                     (*keys, name), f"is missing; it is {_describe_annotation(hints[name])}"
                 )
@@ -348,7 +347,7 @@ class _Builder:
             if bases and item is bases[i]:
                 built.append(item)
                 continue
-            base = bases[i] if bases else _MISSING
+            base = bases[i] if bases else dataclasses.MISSING
             built.append(
                 self.build_value(
                     args[0] if many else args[i], item, (*keys, str(i)), base, infinite
@@ -428,23 +427,19 @@ def _index_by_tag(classes: Iterable[Any]) -> dict[str, Any]:
     return {get_args(get_type_hints(c)["type"])[0]: c for c in built_in}
 
 
-def _find_default(item: "dataclasses.Field[Any]") -> Any:
-    if item.default is not dataclasses.MISSING:
-        return item.default
+def find_default(item: "dataclasses.Field[Any]") -> Any:
+    """Return the default of a field, `dataclasses.MISSING` if it has none."""
     if item.default_factory is not dataclasses.MISSING:
         return item.default_factory()
-    return _MISSING
+    return item.default
 
 
 def _format_value(value: Any) -> str:
     """Return a value for an error message: short, on one line."""
-    text = {None: "null", True: "true", False: "false"}.get(value) if _is_word(value) else None
-    text = text or repr(str(value) if isinstance(value, Path) else value)
+    if value is None or isinstance(value, bool):
+        return json.dumps(value)
+    text = repr(str(value) if isinstance(value, Path) else value)
     return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _is_word(value: Any) -> bool:
-    return value is None or isinstance(value, bool)
 
 
 def _format_suggestion(problem: Any, known: Iterable[Any], listed: bool = True) -> str:

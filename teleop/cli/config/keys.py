@@ -14,6 +14,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from teleop.config.comments import read_field_comments
 from teleop.config.extensions import Extension, list_entry_points
+from teleop.config.loading import find_default
 from teleop.config.ranges import Range
 from teleop.errors import UsageError
 
@@ -83,7 +84,7 @@ def _describe_fields(config: Config) -> Iterator[Key]:
         if not meaning and kinds:
             meaning = read_summary(kinds[0])
         allowed = "" if kinds else limits[item.name]
-        yield Key(item.name, hint, _find_default(item), unit, meaning, allowed)
+        yield Key(item.name, hint, find_default(item), unit, meaning, allowed)
 
 
 def read_summary(config: Config) -> str:
@@ -137,12 +138,6 @@ def _format_type(hint: Any) -> str:
 def _format_plural(hint: Any) -> str:
     text = _format_type(hint)
     return text.replace("list", "lists", 1) if text.startswith("list") else f"{text}s"
-
-
-def _find_default(item: "dataclasses.Field[Any]") -> Any:
-    if item.default_factory is not dataclasses.MISSING:
-        return item.default_factory()
-    return item.default
 
 
 # --- unit and meaning
@@ -243,7 +238,7 @@ def _build_example(config: Config) -> Any:
     """Return a valid section, its defaults where they will do; None if there is none so simple."""
     hints, values = get_type_hints(config), {}
     for item in dataclasses.fields(config):
-        if item.init and _find_default(item) is REQUIRED:
+        if item.init and find_default(item) is REQUIRED:
             values[item.name] = _build_value(hints[item.name])
     for _ in range(2):  # where neither of two alternatives is a default, take the first
         try:

@@ -127,7 +127,7 @@ def format_value(value: Any) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(map(format_value, value))}]"
     if value is None or isinstance(value, bool):
-        return {None: "null", True: "true", False: "false"}[value]
+        return json.dumps(value)
     if isinstance(value, float) and math.isinf(value):
         return ".inf" if value > 0.0 else "-.inf"
     if isinstance(value, int | float):
