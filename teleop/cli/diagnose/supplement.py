@@ -47,6 +47,12 @@ _FRICTION = r"\frac{\partial T}{\partial s} = -\mathrm{sgn}(v)\,"
 _DELAY = r"r(t) = x(t - \tau), \quad \tau = \mathrm{time}"
 _FILTER = r"\mathrm{time}\,\dot r + r = x"
 _STRIBECK = r"K(v) = K\left(1 + \mathrm{ratio}\;e^{-(v/\mathrm{speed})^2}\right)"
+_SENSORS = {
+    "the load cell at the housing": "T(0)",
+    "the load cell at the tip": "T(K)",
+    "the encoder at the motor": "q_p",
+    "the encoder at the tip": "q_d",
+}
 
 FORMULAS = {
     "friction_step": r"K(t) = K\,(1 + \mathrm{change}\cdot[\,t \geq \mathrm{onset}\,])",
@@ -95,14 +101,11 @@ FORMULAS = {
     "distal_tension_bias": r"r = T(K) + \mathrm{bias}",
     "proximal_tension_drift": r"r = T(0) + \mathrm{rate}\;t",
     "distal_tension_drift": r"r = T(K) + \mathrm{rate}\;t",
-    "sensor_lag (the load cell at the housing, by a delay)": _DELAY + r", \quad x = T(0)",
-    "sensor_lag (the load cell at the tip, by a delay)": _DELAY + r", \quad x = T(K)",
-    "sensor_lag (the encoder at the motor, by a delay)": _DELAY + r", \quad x = q_p",
-    "sensor_lag (the encoder at the tip, by a delay)": _DELAY + r", \quad x = q_d",
-    "sensor_lag (the load cell at the housing, by a filter)": _FILTER + r", \quad x = T(0)",
-    "sensor_lag (the load cell at the tip, by a filter)": _FILTER + r", \quad x = T(K)",
-    "sensor_lag (the encoder at the motor, by a filter)": _FILTER + r", \quad x = q_p",
-    "sensor_lag (the encoder at the tip, by a filter)": _FILTER + r", \quad x = q_d",
+    **{
+        f"sensor_lag ({sensor}, by a {kind})": rf"{formula}, \quad x = {signal}"
+        for kind, formula in (("delay", _DELAY), ("filter", _FILTER))
+        for sensor, signal in _SENSORS.items()
+    },
     "sensor_lag (all sensors at the tip, by their clock)": _DELAY + r", \quad x = T(K),\ q_d",
     "saturation (the load cell at the housing)": r"r = \min(T(0),\ \mathrm{limit})",
     "saturation (the load cell at the tip)": r"r = \min(T(K),\ \mathrm{limit})",
@@ -120,16 +123,6 @@ FORMULAS = {
     r"\ the\ width)}",
 }
 """What each effect adds, by its label; others are given by their equation in words."""
-
-
-def get_law_formulas(elastic: bool) -> tuple[str, ...]:
-    """Return the plain law; without a travel in the data it is not `elastic`."""
-    return (LAW, TRAVEL, TIP) if elastic else (LAW,)
-
-
-def get_effect_formulas(effects: Sequence[Effect]) -> tuple[str, ...]:
-    """Return what some effects add to the law."""
-    return tuple(FORMULAS.get(effect.label) or _format_equation_text(effect) for effect in effects)
 
 
 def draw_formula(formula: str) -> Figure:
@@ -272,8 +265,9 @@ def _add_data(page: Page, diagnosis: Diagnosis, sources: Sources) -> None:
 
 def _add_law(page: Page, diagnosis: Diagnosis, folder: Path) -> None:
     page.add_heading("Extended law")
-    lines = get_law_formulas(len(diagnosis.dataset.base.shared) > 1)
-    lines += get_effect_formulas([effect for effect, _ in diagnosis.extended.model.effects])
+    lines = [LAW, TRAVEL, TIP] if len(diagnosis.dataset.base.shared) > 1 else [LAW]  # no travel
+    effects = [effect for effect, _ in diagnosis.extended.model.effects]
+    lines += [FORMULAS.get(effect.label) or _format_equation_text(effect) for effect in effects]
     for k, line in enumerate(lines, start=1):
         drawing = to_svg(draw_formula(line), cut=True)
         write_text_file(folder / f"equation-{k}.svg", drawing, "an equation")
@@ -287,14 +281,14 @@ def _add_errors(page: Page, diagnosis: Diagnosis, folder: Path, sources: Sources
     page.add_heading("Cross-validation" if not diagnosis.fit_all else "Errors")
     _add_table(page, folder, "errors", report_tables.build_error_table(diagnosis))
     _add_table(page, folder, "models", report_tables.build_model_table(diagnosis))
-    if diagnosis.validation:
-        page.add_heading("Validation")
-        table = report_tables.build_prediction_table(diagnosis.validation, names[fitted:])
-        _add_table(page, folder, "validation", table)
-    if diagnosis.left_out:
-        page.add_heading("Leave-one-file-out cross-validation")
-        table = report_tables.build_prediction_table(diagnosis.left_out, names[:fitted])
-        _add_table(page, folder, "left-out", table)
+    for records, title, name, own in (
+        (diagnosis.validation, "Validation", "validation", names[fitted:]),
+        (diagnosis.left_out, "Leave-one-file-out cross-validation", "left-out", names[:fitted]),
+    ):
+        if records:
+            page.add_heading(title)
+            table = report_tables.build_prediction_table(records, own)
+            _add_table(page, folder, name, table)
     if diagnosis.forces:
         page.add_heading("Estimated force")
         _add_table(page, folder, "forces", report_tables.build_force_table(diagnosis, names))
