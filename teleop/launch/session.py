@@ -215,13 +215,7 @@ class Session(SessionClient):
     def _run(self, plan: LaunchPlan) -> None:
         """Run the session; in a thread of its own, which Ctrl-C does not reach."""
         try:
-            self.summary = run_session(
-                plan,
-                self._console,
-                self._stop,
-                self._wait,
-                self._begin,
-            )
+            self.summary = run_session(plan, self._console, self._stop, self._wait, self._begin)
         except BaseException as error:  # raised where the program is
             self._error = error
         finally:

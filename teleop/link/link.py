@@ -171,11 +171,7 @@ class Link:
         senders = None if keyring is None else keyring.find_keys(topic)
         addressee = b"" if keyring is None else keyring.addressee
         latest = LatestMessage(
-            topic,
-            partial(self._roster.find_visit, topic.publisher),
-            limit_ns,
-            senders,
-            addressee,
+            topic, partial(self._roster.find_visit, topic.publisher), limit_ns, senders, addressee
         )
         inbox = Inbox(INBOX_SIZE, tagged=senders is not None)
         direct = zenoh.handlers.Callback(inbox.store, indirect=False)  # no thread in between

@@ -26,10 +26,7 @@ class Recorder:
     """
 
     def __init__(
-        self,
-        source: Listener,
-        writer: RecordingWriter,
-        is_present: Callable[[Role, int], bool],
+        self, source: Listener, writer: RecordingWriter, is_present: Callable[[Role, int], bool]
     ) -> None:
         self.lag_ns = 0
         self._source, self._writer, self._is_present = source, writer, is_present

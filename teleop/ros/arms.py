@@ -123,9 +123,7 @@ def _name_arm(space: SpaceArm, config: ArmConfig, prefix: str) -> RosArm:
         chain = [ends[part.name] for part in arm.parts]
         frames = [_get_link(chain[0], "parent"), *(_get_link(joint, "child") for joint in chain)]
     return RosArm(
-        space,
-        tuple(prefix + name for name in joints),
-        tuple(prefix + name for name in frames),
+        space, tuple(prefix + name for name in joints), tuple(prefix + name for name in frames)
     )
 
 

@@ -21,13 +21,7 @@ from estimator.array_types import Array
 from teleop.messages.messages import PROFILE_POINTS
 from teleop.messages.topics import COMMAND, HAND, PROFILE, STATE, TENDONS, Role
 from teleop.view import colours
-from teleop.view.clip_canvas import (
-    THEMES,
-    Canvas,
-    ClipData,
-    ThemeName,
-    Update,
-)
+from teleop.view.clip_canvas import THEMES, Canvas, ClipData, ThemeName, Update
 from teleop.view.clip_scene import ClipScene
 from teleop.view.colours import compute_luminance, to_rgb
 from teleop.view.columns import AnyTopic, Rows
@@ -316,11 +310,7 @@ class ClipFigure:
         self._draw_lines(axes, title, lines)
 
     def _draw_lines(
-        self,
-        axes: Axes,
-        title: str,
-        lines: Sequence[_Line],
-        intervals: Sequence[_Interval] = (),
+        self, axes: Axes, title: str, lines: Sequence[_Line], intervals: Sequence[_Interval] = ()
     ) -> None:
         """Draw curves over the recent past, and intervals behind them."""
         window = self._data.config.window_s

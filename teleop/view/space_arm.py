@@ -225,11 +225,7 @@ def load_arms(document: ConfigDocument, configs: Sequence[ArmConfig]) -> tuple[S
 
 def build_space_arm(arm: Arm, first: int, radius: Array, hand: HandAxes | None = None) -> SpaceArm:
     """Return what draws an arm whose joints begin with `first`; compiles what it needs."""
-    from estimator.kinematics.forward import (
-        compute_jacobian,
-        compute_part_frames,
-        compute_tip_pose,
-    )
+    from estimator.kinematics.forward import compute_jacobian, compute_part_frames, compute_tip_pose
 
     records: StructArray = prepare_arm(arm)
     prepared: PreparedArm = view_struct(records)
