@@ -81,6 +81,10 @@ class LinkWindow(Struct):
 
 _WINDOW_FIELDS = tuple(LinkWindow.dtype.names or ())
 _SUMS = ("clock_set", "steps", "step_sum_ns", "answers", "answer_sum_ns", "answer_max_ns")
+_REPORTED_SPANS = (  # of a measurement, in a LinkReport -1 where there was nothing to measure
+    "uncertainty_ns", "round_trip_ns", "round_trip_max_ns", "jitter_ns", "delay_in_ns",
+    "delay_out_ns",
+)  # fmt: skip
 
 
 class LinkCounts(NamedTuple):
@@ -285,18 +289,14 @@ class LinkHealth:
     def build_message(self, role: Role, counts: MessageCounts, age_ns: int) -> LinkReport:
         """Return the message of the present health; `age_ns` of the peer's newest message."""
         figures, decision = self.figures, self.decision
+        spans = {name: getattr(figures, name) for name in _REPORTED_SPANS}
         return LinkReport(
             role=role,
             reason=decision.reason,
             holds=decision.holds,
             scale=decision.scale,
             offset_ns=figures.offset_ns or 0,
-            uncertainty_ns=_encode_optional(figures.uncertainty_ns),
-            round_trip_ns=_encode_optional(figures.round_trip_ns),
-            round_trip_max_ns=_encode_optional(figures.round_trip_max_ns),
-            jitter_ns=_encode_optional(figures.jitter_ns),
-            delay_in_ns=_encode_optional(figures.delay_in_ns),
-            delay_out_ns=_encode_optional(figures.delay_out_ns),
+            **{name: -1 if span is None else span for name, span in spans.items()},
             age_ns=-1 if age_ns == NEVER_NS else age_ns,
             loss=-1.0 if figures.loss is None else figures.loss,
             repeated=counts.repeated,
@@ -319,10 +319,6 @@ class LinkHealth:
             scaled_s=self.scaled_s,
             held_s=self.held_s,
         )
-
-
-def _encode_optional(value: int | None) -> int:
-    return -1 if value is None else value
 
 
 def take_measurement(

@@ -99,6 +99,11 @@ M = TypeVar("M", bound=Message)
 
 CLOCK_JUMP_NS = 1_000_000_000  # a message that much faster than any before: the clock jumped
 REJECTION_COUNTERS = ("corrupted", "layout", "repeated", "out_of_order", "foreign", "forged")
+# of MessageCounts, those that a LoopReport has too
+REPORTED_COUNTERS = (
+    "received", "lost", "rejected", "corrupted", "repeated", "out_of_order", "foreign", "forged",
+    "unknown", "delayed", "clock_jumps", "restarts",
+)  # fmt: skip
 ENDED_SENDERS_MAX = 256  # earlier senders whose last sequence number is kept
 SETTLE_NS = 200_000_000  # after a clock was set: hundreds of messages, one of which is not late
 UNSETTLED_NS = 10_000_000_000  # age of the messages until then: beyond every timeout

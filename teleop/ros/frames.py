@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from estimator.array_types import Array
+from teleop.link.reception import REPORTED_COUNTERS
 from teleop.messages.messages import MAX_MESSAGE_SECTIONS, Event, LoopReport, Sheath, decode_text
 from teleop.messages.topics import Role
 from teleop.ros.message_types import (
@@ -90,42 +91,42 @@ def to_quaternion(rotation: Array) -> Any:
 OK, WARN, ERROR, STALE = range(4)  # levels of diagnostic_msgs/msg/DiagnosticStatus
 SILENT_NS = 2_000_000_000  # [ns] without a report, which come twice a second
 _LEVELS = {State.FAULT: ERROR, State.STOPPED: ERROR, State.HOLDING: WARN, State.OFF: WARN}
-_COUNTS = (
-    "ticks", "overruns", "received", "lost", "rejected", "corrupted", "repeated", "out_of_order",
-    "foreign", "forged", "unknown", "delayed", "clock_jumps", "restarts",
-)  # fmt: skip
 SIDES = (Role.MASTER, Role.SLAVE)
 
 
-def build_diagnostics(
-    session: str,
-    reports: Mapping[Role, tuple[LoopReport, int]],
-    events: Mapping[Role, Event],
-    now_ns: int,
-    refused: str = "",
-) -> Any:
-    """Return the status of both sides, a DiagnosticArray.
+class SessionNotes:
+    """The newest reports and events of both sides, and the sheaths, for diagnostics and frames."""
 
-    `reports` has the newest report of each side, and when it was received [ns], `events` the newest
-    event of each; `now_ns` is the present stamp [ns]; `refused` says why commands of ROS nodes are
-    refused, empty if there are none.
+    def __init__(self) -> None:
+        self.sheaths: dict[int, Sheath] = {}  # by number of the tendon from 0
+        self.reports: dict[Role, tuple[LoopReport, int]] = {}  # and when it was received [ns]
+        self.events: dict[Role, Event] = {}
+
+    def add(self, message: Sheath | LoopReport | Event, received_ns: int) -> None:
+        """Take a message; what neither side sent is left out."""
+        if isinstance(message, Sheath):
+            self.sheaths[message.tendon] = message
+        elif message.role not in SIDES:
+            return
+        elif isinstance(message, LoopReport):
+            self.reports[Role(message.role)] = message, received_ns
+        else:
+            self.events[Role(message.role)] = message
+
+
+def build_diagnostics(session: str, notes: SessionNotes, now_ns: int, refused: str = "") -> Any:
+    """Return the status of both sides at the stamp `now_ns` [ns], a DiagnosticArray.
+
+    `refused` says why commands of ROS nodes are refused, empty if there are none.
     """
-    status = [
-        _build_status(session, role, reports.get(role), events.get(role), now_ns) for role in SIDES
-    ]
+    status = [_build_status(session, role, notes, now_ns) for role in SIDES]
     if refused:
         status.append(_build_status_message(WARN, "teleop: ros", refused, session))
     return build_message(DIAGNOSTIC_ARRAY, header=build_header(now_ns), status=status)
 
 
-def _build_status(
-    session: str,
-    role: Role,
-    report: tuple[LoopReport, int] | None,
-    event: Event | None,
-    now_ns: int,
-) -> Any:
-    name = f"teleop: {role.name.lower()}"
+def _build_status(session: str, role: Role, notes: SessionNotes, now_ns: int) -> Any:
+    report, name = notes.reports.get(role), f"teleop: {role.name.lower()}"
     if report is None or now_ns - report[1] > SILENT_NS:
         return _build_status_message(STALE, name, "no reports", session)
     latest = report[0]
@@ -134,12 +135,12 @@ def _build_status(
         "state": state.name.lower(),
         "rate_hz": f"{latest.rate_hz:.1f}",
         "lateness_max_ms": f"{latest.lateness_max_ns * 1e-6:.3f}",
-        **{key: str(getattr(latest, key)) for key in _COUNTS},
+        **{key: str(getattr(latest, key)) for key in ("ticks", "overruns", *REPORTED_COUNTERS)},
     }
     if latest.latency_p50_ns:
         values["latency_p50_ms"] = f"{latest.latency_p50_ns * 1e-6:.3f}"
         values["latency_p99_ms"] = f"{latest.latency_p99_ns * 1e-6:.3f}"
-    if event is not None:
+    if (event := notes.events.get(role)) is not None:
         values["event"] = decode_text(event.text)
     return _build_status_message(_LEVELS.get(state, OK), name, reason.text, session, values)
 

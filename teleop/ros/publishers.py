@@ -4,13 +4,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
-from teleop.link import LatestMessage, Link, ReceivedMessage
-from teleop.messages.messages import MAX_JOINTS, Event, LoopReport, Sheath, SlaveState
-from teleop.messages.topics import EVENT, REPORT, SHEATH, STATE, Role, Topic
+from teleop.link import LatestMessage, Link
+from teleop.messages.messages import MAX_JOINTS
+from teleop.messages.topics import EVENT, REPORT, SHEATH, STATE, Topic
 from teleop.ros.arms import RosArm
 from teleop.ros.command_topics import CommandTopics
 from teleop.ros.config import RosConfig
-from teleop.ros.frames import SIDES, build_diagnostics, build_sheath_frames
+from teleop.ros.frames import SessionNotes, build_diagnostics, build_sheath_frames
 from teleop.ros.message_types import encode
 from teleop.ros.node import RosNode, RosPublisher
 from teleop.ros.outputs import (
@@ -57,9 +57,7 @@ class Publishers:
         for source in self._sources:
             link.subscribe_latest(source)
         self._listener = link.listen((REPORT, EVENT, SHEATH))
-        self._reports: dict[Role, tuple[LoopReport, int]] = {}
-        self._events: dict[Role, Event] = {}
-        self._sheaths: dict[int, Sheath] = {}
+        self._notes = SessionNotes()
         self._commands, self._refused = CommandTopics(config.prefix), ""
         self._slow_ns = self._reports_ns = 0
         self._naming = NamingContext(config.prefix, arms=arms)
@@ -85,7 +83,9 @@ class Publishers:
         for source in self._sources:
             latest = self._link.take_latest(source)
             if source is STATE and latest.is_there:
-                self._update_joints(latest.packet.record)
+                joints = min(int(latest.packet.record.joints), MAX_JOINTS)
+                if joints != self._naming.joints:
+                    self._naming = replace(self._naming, joints=joints)
             if latest.new:
                 self._publish(self._live.get(source, ()), latest)
                 if source is STATE and _FRAMES.name in self._topics:
@@ -96,22 +96,16 @@ class Publishers:
             if slow and latest.is_there and role is not None and self._link.is_present(role):
                 self._publish(self._slow.get(source, ()), latest)
         if slow:
-            self._take(self._listener.drain())
-            self._refuse()
-            if self._sheaths and _FRAMES.name in self._topics:
-                frames = build_sheath_frames(self._sheaths, stamp_ns, self._config.prefix)
+            for item in self._listener.drain():
+                self._notes.add(item.topic.message.unpack(item.data), item.received_ns)
+            self._say_refused()
+            if self._notes.sheaths and _FRAMES.name in self._topics:
+                frames = build_sheath_frames(self._notes.sheaths, stamp_ns, self._config.prefix)
                 self._put(_FRAMES.name, _FRAMES, frames)
         if stamp_ns >= self._reports_ns and _DIAGNOSTICS.name in self._topics:
             self._reports_ns = stamp_ns + round(1e9 / REPORTS_HZ)
-            status = build_diagnostics(
-                self._link.session, self._reports, self._events, stamp_ns, self._refused
-            )
+            status = build_diagnostics(self._link.session, self._notes, stamp_ns, self._refused)
             self._put(_DIAGNOSTICS.name, _DIAGNOSTICS, status)
-
-    def _update_joints(self, state: SlaveState) -> None:
-        joints = min(int(state.joints), MAX_JOINTS)
-        if joints != self._naming.joints:
-            self._naming = replace(self._naming, joints=joints)
 
     def _publish(self, outputs: Iterable[OutputTopic], latest: "LatestMessage[Any]") -> None:
         for output in outputs:
@@ -134,21 +128,7 @@ class Publishers:
             publisher = self._topics[name] = self._node.advertise(topic, output.type, output.qos)
         return publisher
 
-    def _take(self, messages: Iterable[ReceivedMessage]) -> None:
-        for item in messages:
-            if item.topic is SHEATH:
-                sheath = Sheath.unpack(item.data)
-                self._sheaths[sheath.tendon] = sheath
-            elif item.topic is REPORT:
-                report = LoopReport.unpack(item.data)
-                if report.role in SIDES:
-                    self._reports[Role(report.role)] = report, item.received_ns
-            else:
-                event = Event.unpack(item.data)
-                if event.role in SIDES:
-                    self._events[Role(event.role)] = event
-
-    def _refuse(self) -> None:
+    def _say_refused(self) -> None:
         refused = self._commands.describe_refused()
         if refused and refused != self._refused:
             self._say(refused)

@@ -9,13 +9,13 @@ import numpy as np
 
 from teleop.config.loading import ConfigDocument
 from teleop.errors import UsageError
-from teleop.messages.messages import MAX_JOINTS, Event, LoopReport, Sheath, TendonState
-from teleop.messages.topics import EVENT, REPORT, SHEATH, STATE, TENDONS, TOPICS, Role
+from teleop.messages.messages import MAX_JOINTS, TendonState
+from teleop.messages.topics import EVENT, REPORT, SHEATH, STATE, TENDONS, TOPICS
 from teleop.recording.reader import RecordedMessage, RecordingInfo, open_recording, read_messages
 from teleop.recording.replay import print_doubts, require_present_layout
 from teleop.ros.arms import RosArm, load_ros_arms
 from teleop.ros.bag_writer import BagWriter
-from teleop.ros.frames import SIDES, build_diagnostics, build_sheath_frames
+from teleop.ros.frames import SIDES, SessionNotes, build_diagnostics, build_sheath_frames
 from teleop.ros.graph import is_name
 from teleop.ros.message_types import build_header, build_joint_state, require_rosbags
 from teleop.ros.outputs import (
@@ -67,9 +67,7 @@ class BagConverter:
         self._naming = NamingContext(prefix, arms=arms)
         self._period_ns = round(period_s * 1e9)
         self._due_ns: dict[str, int] = {}
-        self._reports: dict[Role, tuple[LoopReport, int]] = {}
-        self._events: dict[Role, Event] = {}
-        self._sheaths: dict[int, Sheath] = {}
+        self._notes = SessionNotes()
 
     def __call__(self, recorded: RecordedMessage) -> None:
         """Add what one recorded message becomes."""
@@ -79,17 +77,16 @@ class BagConverter:
         if topic.live and recorded.log_time_ns < self._due_ns.get(topic.name, 0):
             return
         self._due_ns[topic.name] = recorded.log_time_ns + self._period_ns
-        message = topic.message.unpack(recorded.data)
-        if topic is EVENT:
-            if message.role in SIDES:
-                self._events[Role(message.role)] = message
-        elif topic is REPORT:
-            self._add_report(message, recorded)
+        message, now_ns = topic.message.unpack(recorded.data), recorded.log_time_ns
+        if topic in (EVENT, REPORT, SHEATH):
+            self._notes.add(message, now_ns)
+        if topic is REPORT and message.role in SIDES:
+            status = build_diagnostics(self._session, self._notes, now_ns)
+            self._add(Sample("/diagnostics", status), EVENTS, recorded)
         elif topic is SHEATH:
-            self._sheaths[message.tendon] = message
-            frames = build_sheath_frames(self._sheaths, message.stamp_ns, self._prefix)
+            frames = build_sheath_frames(self._notes.sheaths, message.stamp_ns, self._prefix)
             self._add(Sample("/tf", frames), EVENTS, recorded)
-        else:
+        elif topic not in (EVENT, REPORT):
             if topic is STATE:
                 self._naming = replace(self._naming, joints=min(message.joints, MAX_JOINTS))
                 links = build_arm_frames(message, self._naming)
@@ -109,13 +106,6 @@ class BagConverter:
                 continue
             for sample in output.convert(message, self._naming):
                 self._add(sample, output.qos, recorded)
-
-    def _add_report(self, report: LoopReport, recorded: RecordedMessage) -> None:
-        if report.role in SIDES:
-            now = recorded.log_time_ns
-            self._reports[Role(report.role)] = report, now
-            status = build_diagnostics(self._session, self._reports, self._events, now)
-            self._add(Sample("/diagnostics", status), EVENTS, recorded)
 
     def _add(self, sample: Sample, qos: Any, recorded: RecordedMessage) -> None:
         topic = build_topic_name(sample.name, self._prefix)

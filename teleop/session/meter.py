@@ -3,8 +3,8 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from teleop.link import REJECTION_COUNTERS, MessageCounts
 from teleop.link.health import LinkSummary
+from teleop.link.reception import REJECTION_COUNTERS, REPORTED_COUNTERS, MessageCounts
 from teleop.messages.messages import NO_TOPICS, STAGE_NAMES, Latency, LoopReport
 from teleop.messages.topics import Role
 from teleop.runtime.clock import Durations, Percentiles, Span, TickStats, now_ns
@@ -122,18 +122,7 @@ class LoopMeter:
             reason=side.reason,
             ticks=stats.ticks,
             overruns=stats.overruns,
-            received=counts.received,
-            lost=counts.lost,
-            rejected=counts.rejected,
-            corrupted=counts.corrupted,
-            repeated=counts.repeated,
-            out_of_order=counts.out_of_order,
-            foreign=counts.foreign,
-            forged=counts.forged,
-            unknown=counts.unknown,
-            delayed=counts.delayed,
-            clock_jumps=counts.clock_jumps,
-            restarts=counts.restarts,
+            **{name: getattr(counts, name) for name in REPORTED_COUNTERS},
             rate_hz=rate_hz,
             lateness_max_ns=stats.lateness_max_ns,
             latency_p50_ns=span.p50,
