@@ -253,16 +253,9 @@ def check_options(args: argparse.Namespace) -> None:
 def choose_tendon(
     k: int, tendons: Sequence[TendonConfig], joints: JointTendons, files: model_files.ModelFiles
 ) -> TendonConfig:
-    """Return tendon `k`, from 0, with its model file if there are any."""
-    if files:
-        return select_tendon_model(k, tendons, joints, files)
-    return tendons[k if len(tendons) > 1 else 0]
-
-
-def select_tendon_model(
-    k: int, tendons: Sequence[TendonConfig], joints: JointTendons, files: model_files.ModelFiles
-) -> TendonConfig:
-    """Return tendon `k`, from 0, with its model file; a single model is for all."""
+    """Return tendon `k`, from 0, with its model file if there are any; a single one is for all."""
+    if not files:
+        return tendons[k if len(tendons) > 1 else 0]
     count = max(sum(map(len, joints)), len(tendons), k + 1)
     models = list(tendons) * count if len(tendons) == 1 else list(tendons)
     tendon = model_files.apply_model_files(models or [None] * count, joints, files)[k]

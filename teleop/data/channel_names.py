@@ -161,25 +161,20 @@ def detect_units(path: Path, names: Collection[str], number: int = 1) -> Units:
     Raises `UsageError` if it is linear in part and rotary in part.
     """
     present = {
-        units: [
-            name
+        units: {
+            channel: name
             for channel in STANDARD_NAMES[units]
             if (name := format_standard_name(units, channel, number)) in names
-        ]
+        }
         for units in STANDARD_NAMES
     }
-    linear, rotary = [*present[LINEAR], *present[FORCE]], present[ROTARY]
-    # further columns are ignored
-    if format_standard_name(LINEAR, "proximal_tension", number) in names:
-        rotary = [
-            name
-            for channel in STANDARD_NAMES[ROTARY]
-            if (name := format_standard_name(ROTARY, channel, number)) in names
-            and (
-                format_standard_name(LINEAR, channel, number) not in names
-                or channel == "proximal_tension"
-            )
-        ]
+    linear = [*present[LINEAR].values(), *present[FORCE].values()]
+    rotary = [  # beside a tension further columns are ignored
+        name
+        for channel, name in present[ROTARY].items()
+        if channel == "proximal_tension"
+        or not {"proximal_tension", channel} <= present[LINEAR].keys()
+    ]
     if linear and rotary:
         raise UsageError(
             f"{path}: has {linear[0]!r} and {rotary[0]!r}, but a record is linear (N, m) or rotary "
@@ -187,8 +182,8 @@ def detect_units(path: Path, names: Collection[str], number: int = 1) -> Units:
         )
     if rotary:
         return ROTARY
-    forces = [name for name in present[FORCE] if "_force" in name]
-    tensions = [name for name in present[LINEAR] if "_tension" in name]
+    forces = [name for name in present[FORCE].values() if "_force" in name]
+    tensions = [name for name in present[LINEAR].values() if "_tension" in name]
     if forces and tensions:
         raise UsageError(
             f"{path}: has {tensions[0]!r} and {forces[0]!r}; name both tensions (of one tendon) or "

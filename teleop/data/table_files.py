@@ -271,13 +271,8 @@ def _is_number_kind(kind: Any) -> bool:
 
     if pa.types.is_dictionary(kind):
         return _is_number_kind(kind.value_type)
-    types = pa.types
-    return bool(
-        types.is_integer(kind)
-        or types.is_floating(kind)
-        or types.is_decimal(kind)
-        or types.is_null(kind)
-    )
+    kinds = pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_null
+    return any(is_kind(kind) for is_kind in kinds)
 
 
 def _is_text(kind: Any) -> bool:

@@ -231,7 +231,9 @@ def _present(stage: "_Stage", trial: Trial, say: Callable[[str], None]) -> tuple
         except UsageError:
             raise
         except TeleopError as error:
-            waits = waits + 1 if _awaits_operator(error) else 0
+            # whether only the operator was missing
+            is_wait = isinstance(error, StateTimeoutError) and _WAITING.issuperset(error.states)
+            waits = waits + 1 if is_wait else 0
             if waits == SCRIPTED_WAITS_MAX and stage.is_hand_scripted:
                 raise TeleopError(
                     f"trial {trial.number}: {error}, {waits} times in a row: the scripted hand has "
@@ -242,11 +244,6 @@ def _present(stage: "_Stage", trial: Trial, say: Callable[[str], None]) -> tuple
             reason = error
             stage.abandon(trial, str(error))
     raise TeleopError(f"trial {trial.number}: abandoned {ATTEMPTS_MAX} times; the last: {reason}")
-
-
-def _awaits_operator(error: TeleopError) -> bool:
-    """Return whether only the operator was missing."""
-    return isinstance(error, StateTimeoutError) and _WAITING.issuperset(error.states)
 
 
 class _Stage(AbstractContextManager["_Stage"]):
@@ -311,7 +308,8 @@ class _Stage(AbstractContextManager["_Stage"]):
             if interval == 1:
                 begin_ns = now_ns()
                 values = {**trial.condition, "stimulus": trial.stimulus, "target": trial.target}
-                self._mark(f"trial {trial.number} begins: {_format_values(values)}")
+                known = (f"{k}={format_value(v)}" for k, v in values.items() if v is not None)
+                self._mark(f"trial {trial.number} begins: {', '.join(known)}")
             else:
                 self._mark(f"trial {trial.number} interval {interval}")
             self._require_engagement(self.session, self._experiment.duration)
@@ -436,10 +434,6 @@ class _Stage(AbstractContextManager["_Stage"]):
 
 def _get_impair(session: SessionClient | None) -> ImpairConfig | None:
     return session.config.impair if isinstance(session, Session) else None
-
-
-def _format_values(values: Mapping[str, Any]) -> str:
-    return ", ".join(f"{k}={format_value(v)}" for k, v in values.items() if v is not None)
 
 
 def _split(settings: Settings) -> tuple[dict[str, Any], dict[str, Any]]:

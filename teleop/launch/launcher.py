@@ -145,7 +145,10 @@ def run_session(
         stack.enter_context(
             register_session(own_endpoints.build_entry(config, config.impair, document.path))
         )
-        console.status.say(_format_join_hint(config.session))
+        console.status.say(
+            f"Session {config.session}. In another terminal: teleop view --session "
+            f"{config.session} (or stop, record, set KEY VALUE)"
+        )
         listener = link.listen((EVENT, REPORT, LATENCY, LINK))
         if plan.record:
             supervisor.start("record", [*shared, "--out", str(plan.record)])
@@ -172,13 +175,6 @@ def run_session(
             supervisor.stop(SHUTDOWN_ORDER)
             console.finish()
         return _combine_summaries(supervisor, ended, stop.reason)
-
-
-def _format_join_hint(session: str) -> str:
-    return (
-        f"Session {session}. In another terminal: teleop view --session {session} (or stop, "
-        "record, set KEY VALUE)"
-    )
 
 
 def _describe_recorder_fault(supervisor: Supervisor) -> str:

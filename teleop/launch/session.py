@@ -124,7 +124,10 @@ class Session(SessionClient):
             view=view,
             models=tuple(models),
             allow_imports=is_object,
-            environment={"PYTHONPATH": _join_module_paths()} if is_object else {},
+            # where this program finds its modules, for the processes of its rigs and devices
+            environment={"PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))}
+            if is_object
+            else {},
         )
         self._console = Console(_LineStatus(say))
         self._stop = StopCondition(catches_signals=False)
@@ -258,11 +261,6 @@ class _LineStatus(StatusLine):
 
 def _to_path(text: str | Path | None) -> Path | None:
     return None if text is None else Path(text)
-
-
-def _join_module_paths() -> str:
-    """Return where this program finds its modules, for the processes of its rigs and devices."""
-    return os.pathsep.join(str(Path(folder).absolute()) for folder in sys.path)
 
 
 def _read_document(

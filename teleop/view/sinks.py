@@ -294,7 +294,10 @@ class Sink:
         self._arms = arms
         self.lines: list[str] = []
         self._config = config
-        self.file = _build_file_path(config, session) if mode == "rrd" and out is None else out
+        self.file = out
+        if mode == "rrd" and out is None:
+            moment = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
+            self.file = Path(config.directory) / f"{session}-{moment}.rrd"
         self._window: Window | None = None
         self._page: Page | None = None
         self._blocks: BlockBuffer | None = None
@@ -431,8 +434,3 @@ class Sink:
         # a footer names every chunk, and all of them are kept in memory until the file is closed
         self.lines.append(f"View file: {path}")
         return rr.FileSink(path, write_footer=False)
-
-
-def _build_file_path(config: ViewConfig, session: str) -> Path:
-    moment = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
-    return Path(config.directory) / f"{session}-{moment}.rrd"
