@@ -194,22 +194,22 @@ def _add_forces(
         return diagnosis
     base_model, model = diagnosis.baseline.model, diagnosis.extended.model
     fitted_data = [item for item in data if not isinstance(item, Record)]
-    validation_data = [item for item in validate if not isinstance(item, Record)]
-    tagged_data = [(item, False) for item in fitted_data] + [
-        (item, True) for item in validation_data
-    ]
     forces = [
         compute_file_force(base_model, model, diagnosis.duration, item, validation=is_validation)
-        for item, is_validation in tagged_data
+        for items, is_validation in ((data, False), (validate, True))
+        for item in items
+        if not isinstance(item, Record)
     ]
-    names = [(rival.replaces, rival.effect.label) for rival in diagnosis.rivals]
+    rival_forces = [
+        compute_rival_force(
+            model, rival.fit.model, (rival.replaces, rival.effect.label), diagnosis.duration,
+            fitted_data,
+        )
+        for rival in diagnosis.rivals
+        if fitted_data
+    ]  # fmt: skip
     return diagnosis._replace(
-        forces=tuple(item for item in forces if item is not None),
-        rival_forces=tuple(
-            compute_rival_force(model, rival.fit.model, name, diagnosis.duration, fitted_data)
-            for rival, name in zip(diagnosis.rivals, names, strict=True)
-            if fitted_data
-        ),
+        forces=tuple(item for item in forces if item is not None), rival_forces=tuple(rival_forces)
     )
 
 

@@ -134,15 +134,6 @@ def rank_candidates(
 # --- causes that later causes make redundant, or whose size may be zero
 
 
-def prune_causes(
-    dataset: Dataset, base_fit: Fit, steps: list[CauseStep], fit: Fit
-) -> tuple[list[CauseStep], Fit]:
-    """Return the causes that are neither redundant nor insignificant, and their fit."""
-    return _prune_insignificant_causes(
-        dataset, base_fit, *_prune_redundant_causes(dataset, steps, fit)
-    )
-
-
 def _prune_redundant_causes(
     dataset: Dataset, steps: list[CauseStep], fit: Fit
 ) -> tuple[list[CauseStep], Fit]:
@@ -402,7 +393,9 @@ def _fit_next_candidates(result: CauseSearchResult, search: CauseSearch) -> list
 
 
 def _prune_result(result: CauseSearchResult) -> CauseSearchResult:
-    steps, fit = prune_causes(result.dataset, result.base_fit, result.steps, result.fit)
+    """Return a result with the causes that are neither redundant nor insignificant."""
+    needed = _prune_redundant_causes(result.dataset, result.steps, result.fit)
+    steps, fit = _prune_insignificant_causes(result.dataset, result.base_fit, *needed)
     return result._replace(steps=steps, fit=fit)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.diagnosis import report_tables
 from estimator.diagnosis.curve import describe_curve
-from estimator.diagnosis.dataset import SimulatedRecord
+from estimator.diagnosis.dataset import Fit, SimulatedRecord
 from estimator.diagnosis.measured_data import Record
 from estimator.diagnosis.outcome import Curve, Diagnosis, PredictedRecord
 from estimator.diagnosis.report_tables import name_judged_samples, name_records
@@ -65,9 +65,8 @@ def draw_figures(
                 "ranking",
                 draw_ranking(diagnosis),
                 f"Log-likelihood ratio of {name_judged_samples(diagnosis)} data with and without a "
-                f"cause, with a "
-                "penalty for its parameters. Blue are the causes found, pale blue those that the "
-                "data do not distinguish from them.",
+                "cause, with a penalty for its parameters. Blue are the causes found, pale blue "
+                "those that the data do not distinguish from them.",
             )
 
 
@@ -147,7 +146,8 @@ def draw_record_over_time(
     keep = _subsample_rows(np.flatnonzero(record.measured), LINE_POINTS_MAX)
     time = record.time + record.start
     for channel, upper, lower in zip(channels, grid[::2], grid[1::2], strict=True):
-        measured, factor, unit = _scale_for_display(record.units, channel, record.signals[channel])
+        factor, unit = _get_display_scale(record.units, channel)
+        measured = factor * record.signals[channel]
         base_signal, extended_signal = (
             factor * simulated.signals[channel] for simulated in (before, after)
         )
@@ -175,8 +175,9 @@ def draw_loop(diagnosis: Diagnosis, k: int) -> Figure:
     if axes_of is None:
         raise ValueError("record: has no loop to draw")
     abscissa, ordinate = axes_of
-    x, x_factor, x_unit = _scale_for_display(diagnosis.units, abscissa, record.signals[abscissa])
-    y, y_factor, y_unit = _scale_for_display(diagnosis.units, ordinate, record.signals[ordinate])
+    x_factor, x_unit = _get_display_scale(diagnosis.units, abscissa)
+    y_factor, y_unit = _get_display_scale(diagnosis.units, ordinate)
+    x, y = x_factor * record.signals[abscissa], y_factor * record.signals[ordinate]
     figure = Figure(figsize=(8.2, 3.8))
     pair = figure.subplots(1, 2, sharex=True, sharey=True)
     drawn_signal = np.where(
@@ -210,8 +211,8 @@ def draw_residual_dependence(diagnosis: Diagnosis) -> Figure:
         for axes, (label, values) in zip(
             row, _collect_variables(diagnosis, channel).items(), strict=True
         ):
-            for stage, colour in ((0, VERMILION), (1, BLUE)):
-                residual = _concatenate_residuals(diagnosis, channel, stage)
+            for fit, colour in ((diagnosis.baseline, VERMILION), (diagnosis.extended, BLUE)):
+                residual = _concatenate_residuals(diagnosis, fit, channel)
                 rows = _subsample_rows(np.arange(len(residual)), SCATTER_POINTS_MAX)
                 axes.plot(
                     values[rows],
@@ -231,7 +232,7 @@ def draw_residual_dependence(diagnosis: Diagnosis) -> Figure:
             axes.axhline(0.0, color=BLACK, linewidth=0.6)
             if channel == channels[-1]:
                 axes.set_xlabel(label)
-        unit = _scale_for_display(diagnosis.units, channel, np.zeros(1))[2]
+        _, unit = _get_display_scale(diagnosis.units, channel)
         row[0].set_ylabel(f"{diagnosis.units.name_channel(channel)},\nresidual [{unit}]")
     figure.legend(
         [Line2D([], [], color=VERMILION), Line2D([], [], color=BLUE)],
@@ -272,40 +273,29 @@ def _select_loop_axes(record: Record) -> tuple[str, str] | None:
     return None
 
 
-def _collect_channel(
-    diagnosis: Diagnosis, k: int, channel: str
-) -> tuple[Array, tuple[Array, Array], str]:
-    """Return a channel measured and from both models, and its unit."""
-    measured, factor, unit = _scale_for_display(
-        diagnosis.units, channel, diagnosis.dataset.records[k].signals[channel]
-    )
-    fits = (diagnosis.baseline, diagnosis.extended)
-    before, after = (factor * fit.simulated[k].signals[channel] for fit in fits)
-    return measured, (before, after), unit
-
-
-def _scale_for_display(units: Units, channel: str, signal: Array) -> tuple[Array, float, str]:
-    """Return a signal scaled for drawing, the factor, and its unit."""
+def _get_display_scale(units: Units, channel: str) -> tuple[float, str]:
+    """Return the factor by which a channel is drawn, and its unit then."""
     unit = units.get_unit(channel)
-    factor, display_unit = (1e3, "mm") if unit == "m" else (1.0, unit)
-    return factor * signal, factor, display_unit
+    return (1e3, "mm") if unit == "m" else (1.0, unit)
 
 
-def _concatenate_residuals(diagnosis: Diagnosis, channel: str, stage: int) -> Array:
-    """Return the concatenated residuals of the model before (0) or after (1)."""
-    parts = []
-    for k, record in enumerate(diagnosis.dataset.records):
-        measured, models, _ = _collect_channel(diagnosis, k, channel)
-        parts.append((measured - models[stage])[record.valid[channel]])
-    return np.concatenate(parts)
+def _concatenate_residuals(diagnosis: Diagnosis, fit: Fit, channel: str) -> Array:
+    """Return the residuals of a model in all records, as they are drawn."""
+    factor, _ = _get_display_scale(diagnosis.units, channel)
+    return np.concatenate(
+        [
+            (factor * (record.signals[channel] - simulated.signals[channel]))[record.valid[channel]]
+            for record, simulated in zip(diagnosis.dataset.records, fit.simulated, strict=True)
+        ]
+    )
 
 
 def _collect_variables(diagnosis: Diagnosis, channel: str) -> dict[str, Array]:
     """Return the variables of the residual plots by axis label."""
     records = diagnosis.dataset.records
     units = diagnosis.units
-    _, effort, unit = _scale_for_display(units, PROXIMAL_TENSION, np.zeros(1))
-    _, factor, drive = _scale_for_display(units, records[0].driver, np.zeros(1))
+    effort, unit = _get_display_scale(units, PROXIMAL_TENSION)
+    factor, drive = _get_display_scale(units, records[0].driver)
     columns = {
         f"{units.name_channel(PROXIMAL_TENSION)} [{unit}]": [
             effort * r.signals[PROXIMAL_TENSION] for r in records

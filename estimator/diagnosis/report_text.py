@@ -1,7 +1,7 @@
 """A diagnosis in words: the verdict in one sentence, tables of text, and what to do next."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -15,7 +15,14 @@ from estimator.diagnosis.dataset import (
     compute_tolerance,
 )
 from estimator.diagnosis.learned import INSTALL
-from estimator.diagnosis.outcome import CauseStep, Curve, DetectionLimit, Diagnosis, Verdict
+from estimator.diagnosis.outcome import (
+    CauseStep,
+    Curve,
+    DetectionLimit,
+    Diagnosis,
+    FittedValue,
+    Verdict,
+)
 from estimator.diagnosis.report_tables import (
     build_detection_limit_table,
     build_gain_table,
@@ -28,7 +35,7 @@ from estimator.diagnosis.report_tables import (
     name_judged_samples,
 )
 from estimator.diagnosis.settings import SETTINGS
-from estimator.effects import CATALOGUE, Effect
+from estimator.effects import CATALOGUE, Effect, Parameter
 from estimator.effects.effect import CHANNELS, DISTAL_DISPLACEMENT, DISTAL_TENSION, PROXIMAL_TENSION
 from estimator.effects.functions import find_function
 from estimator.text_table import Table
@@ -67,15 +74,18 @@ def is_frictionless(diagnosis: Diagnosis) -> bool:
 
 def _format_size(diagnosis: Diagnosis, step: CauseStep) -> str:
     """Return the first size of a cause in brackets, if it has one."""
-    for p in step.effect.parameters:
-        number = diagnosis.parameters.get(f"{step.effect.name}.{p.name}")
-        if p.neutral is not None and number is not None:
-            return f" ({_format_short(number.value, number.unit)})"
+    for p, (value, _, _, unit, _) in _collect_sizes(diagnosis, step):
+        if p.neutral is not None:
+            size = format_quantity(value, unit, 2) if unit else f"{100.0 * value:.3g} %"
+            return f" ({size})"
     return ""
 
 
-def _format_short(value: float, unit: str) -> str:
-    return format_quantity(value, unit, 2) if unit else f"{100.0 * value:.3g} %"
+def _collect_sizes(diagnosis: Diagnosis, step: CauseStep) -> list[tuple[Parameter, FittedValue]]:
+    """Return the numbers of a cause that were fitted."""
+    names = {f"{step.effect.name}.{p.name}": p for p in step.effect.parameters}
+    found = diagnosis.parameters
+    return [(p, found[name]) for name, p in names.items() if name in found]
 
 
 def describe_size(diagnosis: Diagnosis, step: CauseStep) -> str:
@@ -85,14 +95,13 @@ def describe_size(diagnosis: Diagnosis, step: CauseStep) -> str:
     return "; ".join(
         f"{p.name} {format_quantity(number.value, number.unit, 3)} "
         f"({report_tables.format_interval(number)})"
-        for p in step.effect.parameters
-        if (number := diagnosis.parameters.get(f"{step.effect.name}.{p.name}")) is not None
+        for p, number in _collect_sizes(diagnosis, step)
     )
 
 
 def list_rivals(step: CauseStep) -> list[str]:
     """Return what else explains as much as a cause, in words."""
-    return [f"{e.cause} ({e.label})" for name in step.rivals for e in _find_effects(name)[:1]]
+    return [f"{e.cause} ({e.label})" for e in _find_effects(step.rivals)]
 
 
 def format_verdict(diagnosis: Diagnosis) -> str:
@@ -178,13 +187,8 @@ def build_tables(
     fitted_names = names[: len(diagnosis.dataset.records)]
     tables = [build_ranking_table(diagnosis, diagnosis.ranking)] if diagnosis.ranking else []
     tables.append(build_parameter_table(diagnosis))
-    tables += [
-        table
-        for table in (build_law_table(diagnosis), build_load_table(diagnosis))
-        if table is not None
-    ]
-    if compared is not None:
-        tables.append(compared)
+    optional = (build_law_table(diagnosis), build_load_table(diagnosis), compared)
+    tables += [table for table in optional if table is not None]
     if diagnosis.steps:
         tables.append(build_gain_table(diagnosis))
     tables += [build_model_table(diagnosis), build_simple_gain_table(diagnosis)]
@@ -234,8 +238,7 @@ def _suggest_remedy(diagnosis: Diagnosis, model: str) -> str:
 def list_next_steps(diagnosis: Diagnosis) -> list[str]:
     """Return what a person does next, most useful first."""
     steps = [f"To tell the causes apart: {experiment}." for experiment in diagnosis.experiments]
-    effects = [step.effect for step in diagnosis.steps]
-    effects += [effect for name in diagnosis.ambiguous_with for effect in _find_effects(name)[:1]]
+    effects = [step.effect for step in diagnosis.steps] + _find_effects(diagnosis.ambiguous_with)
     advice = {effect.advice: effect.name for effect in reversed(effects)}
     steps += [f"{name}: {advice_text}" for advice_text, name in reversed(advice.items())]
     if diagnosis.dataset.records[0].driver == PROXIMAL_TENSION and (
@@ -316,13 +319,11 @@ def compare_with_learned(diagnosis: Diagnosis) -> list[str]:
         errors, noise = diagnosis.after.held_out[channel], diagnosis.noise[channel]
         if all(float(np.ptp(r.signals[channel])) < 10.0 * noise for r in diagnosis.dataset.records):
             continue  # hardly moves
-        learned, law = (
-            format_quantity(rmse, diagnosis.units.get_unit(channel), 3)
-            for rmse in (
-                min(model.rmse[channel] for model in diagnosis.learned_models),
-                errors.rmse,
-            )
+        least, unit = (
+            min(model.rmse[channel] for model in diagnosis.learned_models),
+            diagnosis.units.get_unit(channel),
         )
+        learned, law = (format_quantity(rmse, unit, 3) for rmse in (least, errors.rmse))
         result = "nothing more to find from these inputs"
         is_beyond_noise = errors.rmse > SETTINGS.noise_ratio * tolerance[channel] * noise
         if gain.low > SETTINGS.learned_gain_min and is_beyond_noise:
@@ -337,23 +338,17 @@ def compare_with_learned(diagnosis: Diagnosis) -> list[str]:
 def _describe_cause(diagnosis: Diagnosis, step: CauseStep) -> str:
     sizes = ", ".join(
         f"{p.name} {format_quantity(number.value, number.unit, 3)}"
-        for p in step.effect.parameters
-        if (number := diagnosis.parameters.get(f"{step.effect.name}.{p.name}")) is not None
+        for p, number in _collect_sizes(diagnosis, step)
     )
     cause_text = f"{step.effect.cause} ({step.effect.label}: {sizes})"
-    rivals = [
-        f"{effect.cause} ({name})"
-        for name in step.rivals
-        if name not in diagnosis.causes
-        for effect in _find_effects(name)[:1]
-    ]
-    return " or ".join([cause_text, *rivals])
+    rivals = _find_effects(name for name in step.rivals if name not in diagnosis.causes)
+    return " or ".join([cause_text, *(f"{rival.cause} ({rival.name})" for rival in rivals)])
 
 
 def _describe_function(diagnosis: Diagnosis, curve: Curve) -> str:
     *named, step = diagnosis.steps
     beside = "".join(f" beside {item.effect.label}" for item in named)
-    rivals = [effect.cause for name in step.rivals for effect in _find_effects(name)[:1]]
+    rivals = [effect.cause for effect in _find_effects(step.rivals)]
     alternatives = f"; or {' or '.join(rivals)}" if rivals else ""
     return (
         f"No named cause explains the error{beside}; {describe_curve(curve, diagnosis.units)}, "
@@ -387,10 +382,11 @@ def _list_unsure_causes(diagnosis: Diagnosis) -> list[str]:
     return list(dict.fromkeys(names))[:UNSURE_CAUSES_SHOWN]
 
 
-def _find_effects(name: str) -> list[Effect]:
-    function = find_function(name)
-    named = [effect for effect in CATALOGUE if effect.name == name]
-    return named if function is None else [function]
+def _find_effects(names: Iterable[str]) -> list[Effect]:
+    """Return the first effect of each of some names that has one."""
+    named = {effect.name: effect for effect in reversed(CATALOGUE)}
+    effects = [find_function(name) or named.get(name) for name in names]
+    return [effect for effect in effects if effect is not None]
 
 
 def _describe_gain(diagnosis: Diagnosis) -> str:

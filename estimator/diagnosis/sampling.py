@@ -27,11 +27,8 @@ STEP_SCATTER_MAX = 0.02  # of the period: scatter of the steps below which stamp
 GAP_PERIODS = 1.75  # periods: a step with a sample missing in it
 DIFFERENCE_ORDER = 3  # of the differences that roughness is taken from
 BLOCK_SIZE = 20  # of them, of which one root mean square is taken
-ROUGHNESS_QUANTILE = (
-    0.8  # quantile of the blocks: the motor may be at rest for samples_max of a record
-)
-# by stamps than by even times, all channels multiplied: the stamps are wrong
-ROUGHNESS_RATIO_MIN = 1.25
+ROUGHNESS_QUANTILE = 0.8  # of the blocks: the motor may be at rest for most of a record
+ROUGHNESS_RATIO_MIN = 1.25  # by stamps over by even times, all channels: the stamps are wrong
 DRIFT_WINDOW = 99  # samples over which a clock runs evenly; no record is shorter
 # of a stamp's error that corrects the phase and the period of a clock
 PHASE_GAIN, PERIOD_GAIN = 0.1, 0.002
@@ -59,9 +56,9 @@ def estimate_sample_times(time: Array, signals: Signals) -> SampleTimes:
     regular_steps = steps[steps < GAP_PERIODS * period]
     if not float(regular_steps.std()) > STEP_SCATTER_MAX * period:
         return SampleTimes(time, 0.0)
+    without_gaps = np.arange(len(time), dtype=np.float64)
     candidates = [
-        _fit_even_times(time, counts)
-        for counts in (_count_without_gaps(time), _count_with_gaps(time))
+        _fit_even_times(time, counts) for counts in (without_gaps, _count_with_gaps(time))
     ]
     roughness = [_compute_roughness(times, signals) for times in candidates]
     best = int(np.argmin(roughness))
@@ -85,11 +82,6 @@ def _compute_roughness(time: Array, signals: Signals) -> float:
         )
         total += math.log(max(float(np.quantile(block_rms, ROUGHNESS_QUANTILE)), 1e-12 * span))
     return total
-
-
-def _count_without_gaps(time: Array) -> Array:
-    """Return the counts of samples none of which is missing."""
-    return np.arange(len(time), dtype=np.float64)
 
 
 def _count_with_gaps(time: Array) -> Array:

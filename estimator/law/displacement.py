@@ -29,11 +29,8 @@ from estimator.law.tables import Tables, compute_length_density, integrate_expon
 _RELATIVE_TOLERANCE = 1e-13
 _ROOT_ITERATIONS = 60
 
-_K = _tables.K
-_LENGTH = _tables.LENGTH
-_EA = _tables.EA
-_DRAG = _tables.DRAG
-_ASYMMETRY = _tables.ASYMMETRY
+_K, _LENGTH, _EA = _tables.K, _tables.LENGTH, _tables.EA
+_DRAG, _ASYMMETRY = _tables.DRAG, _tables.ASYMMETRY
 
 
 @jit_compile

@@ -47,10 +47,8 @@ _SLOPE = _Y + CAPACITY  # of the piece from this point to the next
 _AREA = _SLOPE + CAPACITY  # ∫ (T + tau) dx over that piece [N m]
 PROFILE_SIZE = _AREA + CAPACITY
 
-_K = _tables.K
-_DRAG = _tables.DRAG
-_ASYMMETRY = _tables.ASYMMETRY
-_FIRST_LENGTH = _tables.FIRST_LENGTH
+_K, _DRAG = _tables.K, _tables.DRAG
+_ASYMMETRY, _FIRST_LENGTH = _tables.ASYMMETRY, _tables.FIRST_LENGTH
 
 
 def build_pretensioned_profile(tables: Tables, tension: float) -> Profile:

@@ -68,11 +68,7 @@ __all__ = [
 SLACK_TENSION = 1e-6
 """T_in [N] up to which the tendon counts as slack."""
 
-_K = _tables.K
-_LENGTH = _tables.LENGTH
-_EA = _tables.EA
-_DRAG = _tables.DRAG
-_ASYMMETRY = _tables.ASYMMETRY
+_LENGTH, _EA, _DRAG = _tables.LENGTH, _tables.EA, _tables.DRAG
 
 
 class Phase(IntEnum):
@@ -114,7 +110,8 @@ class Observation(NamedTuple):
 
 def drive_proximal(tables: Tables, profile: Profile, tension: float) -> Profile:
     """Return the profile after the motor has brought T_in to `tension` [N]."""
-    _require_finite_tension(tension)
+    if not math.isfinite(tension):
+        raise SheathError(f"tension: {tension} N, must be finite")
     driven = profile.copy()
     push_proximal(tables, driven, tension)
     return driven
@@ -197,11 +194,6 @@ def simulate_tensions(tables: Tables, profile: Profile, tensions: Array) -> tupl
         stretch = integrate_tension(tables, profile) - tables[_DRAG] * tables[_LENGTH]
         elongation[i] = max(stretch, 0.0) / tables[_EA]
     return T_out, elongation
-
-
-def _require_finite_tension(tension: float) -> None:
-    if not math.isfinite(tension):
-        raise SheathError(f"tension: {tension} N, must be finite")
 
 
 # --- the law of a sheath driven through a course of tensions at the housing

@@ -22,17 +22,14 @@ DEPENDENCE_MIN = 0.02  # of the span: larger means count as a dependence
 
 def format_sentence(study: PairStudy) -> str:
     """Return the result in one sentence."""
-    share = compute_mean_share(study.left_out[OWN_METHOD])
+    methods = (OWN_METHOD, PairVariant.ONE_K.value, study.best_simple)
+    share, one_K, simple = (compute_mean_share(study.left_out[method]) for method in methods)
+    rmse = compute_mean_rmse(study.left_out[OWN_METHOD])
     return (
         f"K grows by {format_interval(study.growth)} per radian of bend, from "
-        f"{study.friction.value:.2f} at "
-        f"none; bends that were not fitted are predicted within {share:.1%} of the angle's span "
-        f"({format_degrees(compute_mean_rmse(study.left_out[OWN_METHOD]))}), where one K for "
-        f"all leaves "
-        f"{compute_mean_share(study.left_out[PairVariant.ONE_K.value]):.1%} and the best model "
-        f"without "
-        f"tendons ({study.best_simple}) "
-        f"{compute_mean_share(study.left_out[study.best_simple]):.1%}."
+        f"{study.friction.value:.2f} at none; bends that were not fitted are predicted within "
+        f"{share:.1%} of the angle's span ({format_degrees(rmse)}), where one K for all leaves "
+        f"{one_K:.1%} and the best model without tendons ({study.best_simple}) {simple:.1%}."
     )
 
 
@@ -125,13 +122,8 @@ def build_validation_table(validations: tuple[Validation, ...]) -> Table:
         )
         for validation in validations
     )
-    head = (
-        "bend kept apart",
-        "predicted by the model",
-        "its zero known",
-        *validations[0].baselines,
-    )
-    return Table(head, rows)
+    head = ("bend kept apart", "predicted by the model", "its zero known")
+    return Table((*head, *validations[0].baselines), rows)
 
 
 def build_residual_table(study: PairStudy) -> Table:
@@ -149,9 +141,8 @@ def describe_errors(study: PairStudy) -> list[str]:
     worst = max(range(len(errors)), key=lambda i: errors[i].share)
     share = compute_offset_share(records, study.predicted)
     lines = [
-        f"Worst is the bend of {format_degrees(records[worst].bend, 0)}: "
-        f"{errors[worst].share:.1%} of the "
-        f"span, {errors[worst].zeroed:.1%} if its zero were known.",
+        f"Worst is the bend of {format_degrees(records[worst].bend, 0)}: {errors[worst].share:.1%} "
+        f"of the span, {errors[worst].zeroed:.1%} if its zero were known.",
         f"{share:.0%} of the mean square is a constant of each record: a joint with friction rests "
         "anywhere in a band when its sensor is zeroed, and the command does not tell where.",
     ]
