@@ -77,7 +77,7 @@ def segment_loop(tension: ArrayLike, displacement: ArrayLike) -> BlockedLoop:
     CalibrationError
         If there is not a pull and a release to be found, or the load cell is saturated.
     """
-    T, q = _validate_signals(tension, displacement)
+    T, q = validate_signals(tension, displacement, 2 * MIN_SAMPLES, CalibrationError)
     sigma = max(estimate_noise_sigma(T), _NOISE_FLOOR * float(np.abs(T).max()))
     resolution = _estimate_resolution(q)
     step = resolution / math.sqrt(12.0) if resolution else max(estimate_noise_sigma(q), 1e-9)
@@ -114,23 +114,22 @@ def segment_loop(tension: ArrayLike, displacement: ArrayLike) -> BlockedLoop:
     return replace(rough, branches=branches)
 
 
-def _validate_signals(tension: ArrayLike, displacement: ArrayLike) -> tuple[Array, Array]:
+def validate_signals(
+    tension: ArrayLike, signal_values: ArrayLike, samples_min: int, error: type[ValueError]
+) -> tuple[Array, Array]:
+    """Return a tension and another signal, shape (n,); raises `error` where they cannot be used."""
     T = np.asarray(tension, dtype=np.float64)
-    q = np.asarray(displacement, dtype=np.float64)
-    if T.ndim != 1 or T.shape != q.shape:
-        raise CalibrationError(
-            f"tension {T.shape} and displacement {q.shape}: give two rows of equal length"
-        )
-    if len(T) < 2 * MIN_SAMPLES:
-        raise CalibrationError(
-            f"{len(T)} samples, at least {2 * MIN_SAMPLES} are needed: record more densely"
-        )
-    missing = np.flatnonzero(~(np.isfinite(T) & np.isfinite(q)))
+    signal = np.asarray(signal_values, dtype=np.float64)
+    if T.ndim != 1 or T.shape != signal.shape:
+        raise error(f"shapes {T.shape} and {signal.shape}: give two rows of equal length")
+    if len(T) < samples_min:
+        raise error(f"{len(T)} samples, at least {samples_min} are needed: record more densely")
+    missing = np.flatnonzero(~(np.isfinite(T) & np.isfinite(signal)))
     if len(missing):
-        raise CalibrationError(
+        raise error(
             f"{len(missing)} samples are not finite, the first at index {missing[0]}: remove them"
         )
-    return T, q
+    return T, signal
 
 
 def _estimate_resolution(q: Array) -> float:

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 
 from estimator.array_types import Array
+from estimator.calibration.blocked_loop import validate_signals
 from estimator.fitting import (
     COVERAGE_FACTOR,
     IntervalEstimate,
@@ -136,17 +137,7 @@ def fit_blocked_tip(
 
 
 def _validate_signals(tension: ArrayLike, signal_values: ArrayLike) -> tuple[Array, Array]:
-    T = np.asarray(tension, dtype=np.float64)
-    signal = np.asarray(signal_values, dtype=np.float64)
-    if T.ndim != 1 or T.shape != signal.shape:
-        raise IdentificationError(f"rows {T.shape} and {signal.shape}: give two of equal length")
-    if len(T) < _SAMPLES_MIN:
-        raise IdentificationError(f"{len(T)} samples, at least {_SAMPLES_MIN} are needed")
-    missing = np.flatnonzero(~(np.isfinite(T) & np.isfinite(signal)))
-    if len(missing):
-        raise IdentificationError(
-            f"{len(missing)} samples are not finite, the first at index {missing[0]}: remove them"
-        )
+    T, signal = validate_signals(tension, signal_values, _SAMPLES_MIN, IdentificationError)
     if not (np.ptp(T) > 0.0 and np.ptp(signal) > 0.0):
         raise IdentificationError("a signal never changes: record while pulling and releasing")
     return T, signal

@@ -55,7 +55,14 @@ class Followed:
         return self._plant.cells()
 
 
-class Microcontroller:
+class BusModel:
+    """What the orders on standard input act on."""
+
+    def repair(self) -> None:
+        """Do nothing: a fault is kept until a restart or a reset."""
+
+
+class Microcontroller(BusModel):
     def __init__(self, motors, plant) -> None:
         self.models = [
             Board(compile_firmware(FOLDER), motors, motors, plant, 1.0, name_port("motors"))
@@ -76,7 +83,7 @@ class Microcontroller:
         return [bool(self.board.flags & ENABLED)]
 
 
-class Dynamixel:
+class Dynamixel(BusModel):
     """Servos, and a microcontroller for the load cells alone."""
 
     def __init__(self, motors, plant) -> None:
@@ -92,9 +99,6 @@ class Dynamixel:
         self.servos.servos[1].put(ERROR, 1, 32)
         self.servos.servos[1].put(TORQUE, 1, 0)  # as the servo does by itself
 
-    def repair(self) -> None:
-        """Do nothing: the error is kept until a restart."""
-
     def connect(self, plugged: bool) -> None:
         self.servos.port.wanted = plugged
 
@@ -102,7 +106,7 @@ class Dynamixel:
         return [servo.moving for servo in self.servos.servos.values()]
 
 
-class Cia402:
+class Cia402(BusModel):
     """Drives with their load cells, behind an slcan adapter, or on another bus of python-can."""
 
     def __init__(self, motors, plant) -> None:
@@ -122,9 +126,6 @@ class Cia402:
 
     def fault(self) -> None:
         self.drives.drives[0].fail(0x8611)
-
-    def repair(self) -> None:
-        """Do nothing: a fault is kept until it is reset."""
 
     def connect(self, plugged: bool) -> None:
         if self.port is not None:

@@ -3,13 +3,12 @@
 import ctypes
 import shutil
 import subprocess
-import threading
 import time
 from pathlib import Path
 
 import numpy as np
 
-from studies.rigs.models.line import PseudoPort
+from studies.rigs.models.line import BusThread, PseudoPort
 from studies.rigs.models.plant import Springs
 
 FIRMWARE = Path(__file__).parents[3] / "firmware"
@@ -74,7 +73,7 @@ class Firmware:
         return bytes(self._out[:count])
 
 
-class Board:
+class Board(BusThread):
     """A board with its motors' plant; `serve` runs until `ended` is set.
 
     Its watchdog waits `patience` times as long as told: a busy machine holds up the driver, too.
@@ -104,7 +103,7 @@ class Board:
         self.port = PseudoPort(link)
         self.firmware = Firmware(library, motors, cells)
         self.plant = plant or Springs(max(motors, cells))
-        self.flip, self.silent, self.fault, self.ended = 0, False, False, False
+        self.flip, self.silent, self.fault = 0, False, False
         self.flags, self.stopped_s = 0, 0.0
         self._start_s = time.monotonic()
 
@@ -134,11 +133,6 @@ class Board:
             self.flags = flags
             self._send(self.firmware.sent())
         self.port.unplug()
-
-    def start(self) -> threading.Thread:
-        thread = threading.Thread(target=self.serve, daemon=True)
-        thread.start()
-        return thread
 
     def _advance(self, now: float) -> None:
         _, target, powered = self.firmware.read_motors()

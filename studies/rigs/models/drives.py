@@ -5,7 +5,6 @@ the consumer of our heartbeat, and a plant.
 """
 
 import math
-import threading
 import time
 from contextlib import suppress
 
@@ -17,6 +16,7 @@ from durand.node import NodeCapabilities
 from durand.object_dictionary import Array
 from durand.scheduler import VirtualScheduler, set_scheduler
 
+from studies.rigs.models.line import BusThread
 from studies.rigs.models.plant import ZERO, Springs
 
 NOT_READY, DISABLED, READY, ON, ENABLED, QUICK_STOP, REACTION, FAULT = (
@@ -69,7 +69,7 @@ class Drive:
         self._off_s = 0.0
         od = self.node.object_dictionary
         self.od = od
-        for index, kind, access, value in (
+        for index, *variable in (
             (0x100C, Kind.UNSIGNED16, "rw", 0),
             (0x100D, Kind.UNSIGNED8, "rw", 0),
             (0x603F, Kind.UNSIGNED16, "ro", 0),
@@ -86,7 +86,7 @@ class Drive:
             (0x6085, Kind.UNSIGNED32, "rw", 1000),
             (0x6502, Kind.UNSIGNED32, "ro", 1 << 7 | 1 << 6),
         ):
-            od[index] = Variable(kind, access, value)
+            od[index] = Variable(*variable)
         od[0x1000] = Variable(Kind.UNSIGNED32, "ro", 0x0002_0192)
         od[0x1008] = Variable(Kind.VISIBLE_STRING, "ro", b"model of a drive")
         od[0x1016] = Array(Variable(Kind.UNSIGNED32, "rw", 0), 1)
@@ -96,10 +96,9 @@ class Drive:
             (0x60C2, {1: (Kind.UNSIGNED8, "rw", 1), 2: (Kind.INTEGER8, "rw", -3)}),
             (0x3160, {1: (Kind.INTEGER16, "ro", 0)}),
         ):
-            record = Record()
-            for subindex, (kind, access, value) in entries.items():
-                record[subindex] = Variable(kind, access, value)
-            od[index] = record
+            od[index] = record = Record()
+            for subindex, variable in entries.items():
+                record[subindex] = Variable(*variable)
         od.download_callbacks[(0x6040, 0)].add(self._control)
         self._last_word = 0
 
@@ -186,11 +185,8 @@ class Drive:
             self._enter(READY)
         elif word & 0x0F == 0x07 and state in (READY, ENABLED):
             self._enter(ON)
-        elif word & 0x0F == 0x0F and state == ON and self._may_enable():
+        elif word & 0x0F == 0x0F and state == ON and time.monotonic() >= self._on_s + self.enable_s:
             self._enter(ENABLED)
-
-    def _may_enable(self) -> bool:
-        return time.monotonic() - self._on_s >= self.enable_s
 
     def _enter(self, state: int) -> None:
         self.state, self._off_due_s = state, math.inf
@@ -201,7 +197,7 @@ class Drive:
         self.od.write(0x6041, 0, state | self.homed)
 
 
-class Drives:
+class Drives(BusThread):
     """Drives on one bus with their plant; `serve` runs until `ended` is set.
 
     They wait `patience` times as long for our heartbeat as told, for a busy machine.
@@ -213,7 +209,7 @@ class Drives:
         set_scheduler(self._scheduler)
         self.drives = [Drive(bus, number, patience) for number in numbers]
         self.plant = plant or Springs(len(self.drives))
-        self.ended = self.silent = self.unplug = False
+        self.silent = self.unplug = False
         self._start_s = time.monotonic()
 
     def serve(self) -> None:
@@ -243,11 +239,6 @@ class Drives:
         except can.CanOperationError:  # the interface is down; the drives themselves go on
             time.sleep(wait_s)
             return None
-
-    def start(self) -> threading.Thread:
-        thread = threading.Thread(target=self.serve, daemon=True)
-        thread.start()
-        return thread
 
     def _advance(self, now: float) -> None:
         self.plant.advance(

@@ -5,9 +5,21 @@ import fcntl
 import os
 import select
 import termios
+import threading
 import time
 import tty
 from pathlib import Path
+
+
+class BusThread:
+    """A model that `serve`s a bus in a thread of its own, until `ended` is set."""
+
+    ended = False
+
+    def start(self) -> threading.Thread:
+        thread = threading.Thread(target=self.serve, daemon=True)
+        thread.start()
+        return thread
 
 
 class PseudoPort:

@@ -5,12 +5,11 @@ each FF FF FD of the body. Control table: the registers that the driver may use,
 """
 
 import struct
-import threading
 import time
 
 import numpy as np
 
-from studies.rigs.models.line import PseudoPort
+from studies.rigs.models.line import BusThread, PseudoPort
 from studies.rigs.models.plant import ZERO, Springs
 
 PING, READ, WRITE, REBOOT, SYNC_READ, SYNC_WRITE, STATUS = 1, 2, 3, 8, 0x82, 0x83, 0x55
@@ -116,7 +115,7 @@ class Servo:
         return min(self.get(GOAL_CURRENT, 2), self.get(CURRENT_LIMIT, 2))
 
 
-class Servos:
+class Servos(BusThread):
     """Servos with their motors' plant; `serve` runs until `ended` is set.
 
     Their watchdogs wait `patience` times as long as told: a busy machine holds up the driver, too.
@@ -140,7 +139,6 @@ class Servos:
         self.damage = 0
         self.stopped_s = 0.0
         self.kinds = set()
-        self.ended = False
         self._received = b""
         self._answers_from = 0  # status return level from which the instruction is answered
         self._start_s = time.monotonic()
@@ -162,11 +160,6 @@ class Servos:
                 if packet[1] != SYNC_READ or not overtaken:
                     self._obey(packet, now)
         self.port.unplug()
-
-    def start(self) -> threading.Thread:
-        thread = threading.Thread(target=self.serve, daemon=True)
-        thread.start()
-        return thread
 
     def _advance(self, now: float) -> None:
         servos = list(self.servos.values())
