@@ -7,7 +7,6 @@ is wrong. Where the name of the time says seconds of milliseconds or microsecond
 refused.
 """
 
-import argparse
 import contextlib
 import io
 import tempfile
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from studies.testbed.command import parse_options
 from teleop.data.mapping import TableMapping, parse_column_options
 from teleop.data.table import read_runs
 from teleop.errors import UsageError
@@ -273,10 +273,7 @@ def read_tables(count: int, seed: int) -> tuple[Counter[str], list[tuple[int, st
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--count", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
+    args = parse_options(__doc__, count=(2000, "number of tables"), seed=(0, "of the first"))
     outcomes, notes = read_tables(args.count, args.seed)
     print(", ".join(f"{n} {outcome}" for outcome, n in outcomes.most_common()))
     reasons: dict[tuple[str, str], list[int]] = {}

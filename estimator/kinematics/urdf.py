@@ -126,15 +126,10 @@ def _convert_joint(joint: Any, link: Any, source: str) -> Joint:
                 "continuous"
             )
         limits |= {"lower": joint.limit.lower, "upper": joint.limit.upper}
-    position, rpy = (
-        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-        if joint.origin is None
-        else (joint.origin.xyz or (0.0, 0.0, 0.0), joint.origin.rpy or (0.0, 0.0, 0.0))
-    )
     axis = (1.0, 0.0, 0.0) if joint.axis is None else joint.axis  # x is the default of URDF
     try:
         return Joint(
-            joint.name, joint.type, _to_triple(axis), _to_offset(position, rpy), **limits,
+            joint.name, joint.type, _to_triple(axis), _convert_origin(joint.origin), **limits,
             **_convert_inertial(link.inertial),
         )  # fmt: skip
     except ArmError as error:
@@ -145,10 +140,7 @@ def _convert_inertial(inertial: Any) -> dict[str, Any]:
     """Return mass, centre and inertia of a link as arguments of `Joint`."""
     if inertial is None:
         return {}
-    origin, moments = inertial.origin, inertial.inertia
-    offset = _to_offset(
-        (origin and origin.xyz) or (0.0, 0.0, 0.0), (origin and origin.rpy) or (0.0, 0.0, 0.0)
-    )
+    offset, moments = _convert_origin(inertial.origin), inertial.inertia
     inertia = np.zeros((3, 3))
     if moments is not None:
         turn = offset.to_matrix()[:3, :3]
@@ -160,8 +152,10 @@ def _convert_inertial(inertial: Any) -> dict[str, Any]:
     }
 
 
-def _to_offset(position: Iterable[float], rpy: Iterable[float]) -> Offset:
-    return Offset(_to_triple(position), _to_triple(rpy))
+def _convert_origin(origin: Any) -> Offset:
+    """Return an offset; what is left out of it is zero."""
+    position, rpy = (origin and getattr(origin, name) for name in ("xyz", "rpy"))
+    return Offset(_to_triple(position or (0.0,) * 3), _to_triple(rpy or (0.0,) * 3))
 
 
 def _to_triple(numbers: Iterable[float]) -> tuple[float, float, float]:

@@ -21,28 +21,14 @@ from studies.brute.chain import Chain, Force, Position
 
 @dataclass(frozen=True)
 class Pin:
-    """A pin or pulley that does not turn, on the axis of a joint.
+    """A pin or pulley that does not turn, on the axis of a joint."""
 
-    Attributes
-    ----------
-    joint
-        Index of the joint, whose angle turns one end of the contact.
-    arm
-        [m] what turning the joint by 1 rad pulls in of the tendon; |arm| is the pin's radius.
-    wrap
-        [rad] angle of contact at joint angle 0; it falls as a positive `arm` pulls in.
-    span
-        [m] of tendon from here to the next guide.
-    on_distal_link
-        Whether the pin turns with the distal link: then its near end gains and loses contact.
-    """
-
-    joint: int
-    arm: float
+    joint: int  # whose angle turns one end of the contact
+    arm: float  # [m] what 1 rad of the joint pulls in of the tendon; |arm| is the pin's radius
     friction: float
-    wrap: float
-    span: float
-    on_distal_link: bool = False
+    wrap: float  # [rad] contact at joint angle 0; it falls as a positive `arm` pulls in
+    span: float  # [m] of tendon from here to the next guide
+    on_distal_link: bool = False  # it turns with that: its near end gains and loses contact
     beads_per_rad: float = 20.0
 
 

@@ -269,26 +269,25 @@ def inject_fault(bench: FaultSession, kind: str, target: str, rng: np.random.Gen
         bench.kill(target)  # whose clock is set back is not believed again
         bench.begin(target)
         return fault
-    else:
+    elif kind in ("stop", "freeze"):
         if kind == "freeze":  # for longer than a connection is kept without a sign of life
             seconds = float(rng.choice([3.0, 12.0]))
-        back = seconds
         begin = now_ns()
-        if kind in ("stop", "freeze"):
-            bench.signal(target, signal.SIGSTOP)
-            pause(back)
-            bench.signal(target, signal.SIGCONT)
-        elif kind == "cut":
-            ways = () if target == "both" else (target,)
-            bench.tell("cut", *ways)
-            pause(back)
-            bench.tell("mend")
-        elif kind == "unplug":
-            bench.pull(target, "unplug")
-            pause(back)
-            bench.pull(target, "plug")
-        else:
-            raise ValueError(kind)
+        bench.signal(target, signal.SIGSTOP)
+        pause(seconds)
+        bench.signal(target, signal.SIGCONT)
+    elif kind == "cut":
+        begin = now_ns()
+        bench.tell("cut", *(() if target == "both" else (target,)))
+        pause(seconds)
+        bench.tell("mend")
+    elif kind == "unplug":
+        begin = now_ns()
+        bench.pull(target, "unplug")
+        pause(seconds)
+        bench.pull(target, "plug")
+    else:
+        raise ValueError(kind)
     return Fault(kind, target, seconds, begin, now_ns())
 
 

@@ -138,7 +138,7 @@ def actuators(case: Case, rig: Plugged) -> Figures:
     """Power that goes is a fault with that reason; back, it is read again and pushes nothing."""
     with _opened(case) as hid:
         rig.power(on=True)  # reported: what was never met does not count
-        _drive(hid, case, 0.2)
+        _read(hid, 0.2, case)
         rig.power(on=False)
         _until(hid, fails=True, saying="no power")
         rig.power(on=True)
@@ -256,7 +256,7 @@ def device(case: Case, rig: Plugged) -> Figures:
 def replug(case: Case, rig: Plugged) -> Figures:
     """Pulled out, it is missed at once; put in again, it is read again, and pushes nothing."""
     with _opened(case) as hid:
-        _drive(hid, case, 0.1)
+        _read(hid, 0.1, case)
         out = rig.unplug()
         missed = _until(hid, fails=True) - out
         back = rig.plug()
@@ -358,17 +358,13 @@ def _hold(line: DeviceConnection, force: Shares) -> None:
         time.sleep(0.005)
 
 
-def _drive(hid: HidDevice, case: Case, span: float) -> None:
+def _read(hid: HidDevice, span: float, pushed: Case | None = None) -> None:
+    """Read a device for a while [s], and write the forces of a case if it is `pushed`."""
     end = time.monotonic() + span
     for tick in Grid(RATE_HZ, stop=lambda: time.monotonic() > end):
         hid.read(tick.index / RATE_HZ)
-        hid.write(_newtons(case, case.force(tick.index)))
-
-
-def _read(hid: HidDevice, span: float) -> None:
-    end = time.monotonic() + span
-    for tick in Grid(RATE_HZ, stop=lambda: time.monotonic() > end):
-        hid.read(tick.index / RATE_HZ)
+        if pushed is not None:
+            hid.write(_newtons(pushed, pushed.force(tick.index)))
 
 
 def _until(hid: HidDevice, *, fails: bool, saying: str = "") -> float:
