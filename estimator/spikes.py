@@ -1,9 +1,8 @@
 """Single-sample spikes of a channel: found the same way wherever an error is counted."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.array_types import Array
+from estimator.array_types import Array, Mask
 from estimator.measured_data import MeasuredData, Samples
 from estimator.signals import estimate_noise_sigma
 
@@ -12,7 +11,7 @@ SCATTER_WINDOW = 101  # samples of the local scatter
 SAMPLES_MIN = 8  # samples that tell a scatter
 
 
-def find_spikes(signal: Array) -> NDArray[np.bool_]:
+def find_spikes(signal: Array) -> Mask:
     """Return which samples are single-sample spikes, shape (n,).
 
     A spike is off the mean of its neighbours by `SCATTER_FACTOR` times the local scatter, while
@@ -33,7 +32,7 @@ def find_spikes(signal: Array) -> NDArray[np.bool_]:
     gap[1:-1] = np.abs(signal[2:] - signal[:-2])
     usual = 1.4826 * median_filter(np.abs(deviation), SCATTER_WINDOW, mode="nearest")
     noise_min = max(estimate_noise_sigma(signal), 1e-3 * float(np.ptp(signal)))
-    spike: NDArray[np.bool_] = np.abs(deviation) > SCATTER_FACTOR * np.maximum(usual, noise_min)
+    spike: Mask = np.abs(deviation) > SCATTER_FACTOR * np.maximum(usual, noise_min)
     spike &= gap < 0.5 * np.abs(deviation)
     # beside a spike both neighbours are off by half of it, the other way; beside a sharp turn not
     for neighbour in (np.roll(deviation, 1), np.roll(deviation, -1)):

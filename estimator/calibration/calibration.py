@@ -15,9 +15,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from estimator.array_types import Array
+from estimator.array_types import Array, Mask
 from estimator.calibration.blocked_loop import BlockedLoop, Branch, CalibrationError, segment_loop
 from estimator.calibration.model_averaging import UNMODELLED_UNCERTAINTY, ModelAverage, Rival
 from estimator.calibration.model_averaging import average_antagonists as weighed_together
@@ -142,7 +142,7 @@ def require_straight_pulls(loop: BlockedLoop, K: float) -> None:
             )
 
 
-def _select_sliding_pulls(loop: BlockedLoop, K: float) -> list[tuple[Branch, NDArray[np.bool_]]]:
+def _select_sliding_pulls(loop: BlockedLoop, K: float) -> list[tuple[Branch, Mask]]:
     """Return the pulls and where in them the whole tendon slides."""
     # A first pull has been cut already to what has forgotten the unknown past.
     begins = [0.0, *loop.turns.tolist()]
@@ -153,7 +153,7 @@ def _select_sliding_pulls(loop: BlockedLoop, K: float) -> list[tuple[Branch, NDA
     ]
 
 
-def _fit_common_slope(parts: list[tuple[Branch, NDArray[np.bool_]]]) -> MeasuredValue | None:
+def _fit_common_slope(parts: list[tuple[Branch, Mask]]) -> MeasuredValue | None:
     """Return dq/dT of all parts together, each with an offset of its own."""
     T, q, n = [], [], []
     for branch, part in parts:

@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.array_types import Array
+from estimator.array_types import Array, Mask
 from estimator.calibration.blocked_loop import BlockedLoop
 from estimator.fitting import compute_central_differences, minimise_squares
 from estimator.law.sheath import Section, Sheath
@@ -106,7 +105,7 @@ class Shape(NamedTuple):
     """Which pattern parameters exist, and which are searched."""
 
     ends: Array  # s, rising, shape (n,)
-    straight: NDArray[np.bool_]  # at s = 0 and at each end, shape (n + 1,)
+    straight: Mask  # at s = 0 and at each end, shape (n + 1,)
 
     @property
     def parameters(self) -> int:

@@ -12,9 +12,8 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.array_types import Array
+from estimator.array_types import Array, Mask
 from estimator.calibration.model_averaging import (
     ModelAverage,
     Rival,
@@ -30,8 +29,6 @@ from estimator.calibration.pattern import (
     Shape,
 )
 from estimator.fitting import MeasuredValue
-
-Mask = NDArray[np.bool_]
 
 GROWTH_PENALTY = 6.0  # of chi² for a parameter while growing
 SCORE_PENALTY = 5.0  # of chi² for a parameter while weighing: ln of some hundred averages

@@ -11,9 +11,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.array_types import Array
+from estimator.array_types import Array, Mask
 from estimator.diagnosis.arm_causes import ArmCause, list_arm_causes
 from estimator.diagnosis.arm_model import (
     ArmData,
@@ -462,7 +461,7 @@ class _Search:
 
 
 def _compute_difference(
-    evaluate: Callable[[Array], Array], x: Array, which: NDArray[np.bool_], residual: Array
+    evaluate: Callable[[Array], Array], x: Array, which: Mask, residual: Array
 ) -> Array:
     step = 0.1 * which
     return (evaluate(x + step) - residual) / 0.1

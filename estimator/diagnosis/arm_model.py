@@ -12,10 +12,9 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
-from estimator.array_types import Array
+from estimator.array_types import Array, Mask
 from estimator.compiled import jit_compile
 from estimator.diagnosis.driving_signal import estimate_travel_drive
 from estimator.diagnosis.measured_data import Record, RecordError, prepare_record
@@ -92,7 +91,7 @@ class ArmTendon:
     routing: Routing  # of this tendon alone
     sheath: Sheath
     is_at_anchor: bool
-    known: dict[str, NDArray[np.bool_]] = field(default_factory=dict)  # samples that may count
+    known: dict[str, Mask] = field(default_factory=dict)  # samples that may count
     prepared: dict[bytes, tuple[PreparedRouting, int]] = field(default_factory=dict)  # the newest
 
     @property
@@ -114,7 +113,7 @@ class ArmTendon:
         valid = {channel: known & slides for channel, known in self.known.items()}
         return replace(self, record=replace(self.record, valid=valid))
 
-    def simulate(self, values: TendonValues, rows: NDArray[np.bool_] | None = None) -> Simulated:
+    def simulate(self, values: TendonValues, rows: Mask | None = None) -> Simulated:
         """Return what its sensors would have read.
 
         The travel's zero and how much the tendon stretches, in its sheath and in the arm, are those
@@ -312,7 +311,7 @@ def _replace_radii(routing: Routing, radii: Array) -> Routing:
     return row
 
 
-def find_sliding(proximal: Array, distal: Array, K: Array) -> NDArray[np.bool_]:
+def find_sliding(proximal: Array, distal: Array, K: Array) -> Mask:
     """Return where all of a tendon slides by its tensions [N], and friction decides, not the past.
 
     In between, which contacts stick is a matter of noise and of what a tendon gives before.

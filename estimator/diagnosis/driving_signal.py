@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.array_types import Array
+from estimator.array_types import Array, Mask
 from estimator.compiled import jit_compile
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import PROXIMAL_TENSION
@@ -251,7 +251,7 @@ class Turns(NamedTuple):
         """Return a signal with rows at the turns, interpolated."""
         return np.insert(signal, self.rows, np.interp(self.time, time, signal))
 
-    def interpolate_mask(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def interpolate_mask(self, mask: Mask) -> Mask:
         """Return a mask with rows at the turns, true where it is on both sides of one."""
         rows = np.array(self.rows, dtype=np.int64)
         return np.insert(mask, rows, mask[rows - 1] & mask[rows])

@@ -4,9 +4,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.array_types import Array
+from estimator.array_types import Array, Mask
 from estimator.diagnosis.dataset import (
     COARSE_RATIO_MIN,
     OWN_LOADS,
@@ -45,9 +44,6 @@ from estimator.fitting import (
     minimise_squares,
     move_inside_bounds,
 )
-
-Mask = NDArray[np.bool_]
-
 
 # --- where the numbers of a model are in the row that a fit searches
 

@@ -5,9 +5,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.array_types import Array
+from estimator.array_types import Array, Mask
 from estimator.diagnosis.dataset import (
     BaseParameters,
     Dataset,
@@ -88,7 +87,6 @@ def _propagate_noise(
 # travel together, until the travel alone tells the tension again: a few samples. It is taken if it
 # lies within the noise of the travel. Otherwise something else is wrong and nothing changes.
 
-Mask = NDArray[np.bool_]
 
 AGREEING_SAMPLES = 3  # neighbouring samples in which the tension agrees: nothing is hidden any more
 SAMPLES_AFTER = 6  # samples in which the travel must tell the tension behind a hidden motion

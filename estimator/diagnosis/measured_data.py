@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.array_types import Array
+from estimator.array_types import Array, Mask
 from estimator.diagnosis.driving_signal import (
     compute_rate,
     estimate_drive,
@@ -50,8 +50,6 @@ from estimator.effects.effect import (
 from estimator.measured_data import Samples
 from estimator.plausibility import find_channel_faults, suggest_sign
 from estimator.units import LINEAR, Units
-
-Mask = NDArray[np.bool_]
 
 TRAVELS = {PROXIMAL_DISPLACEMENT, DISTAL_DISPLACEMENT}
 TURN_TOLERANCE = 1e-9  # of the range of a drive: what rounds off in sums turns nothing

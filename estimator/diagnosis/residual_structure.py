@@ -5,9 +5,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.array_types import Array
+from estimator.array_types import Array, Mask
 from estimator.diagnosis.dataset import Dataset, Fit
 from estimator.diagnosis.sampling import GAP_PERIODS
 from estimator.diagnosis.settings import SETTINGS
@@ -96,7 +95,7 @@ def compute_autocorrelation(residuals: Sequence[Array], period: float) -> Autoco
     mean = float(np.nanmean(np.concatenate(list(residuals))))
     products, pairs, samples = np.zeros(count), np.zeros(count), 0
     for residual in residuals:
-        is_known: NDArray[np.bool_] = np.isfinite(residual)
+        is_known: Mask = np.isfinite(residual)
         centred = np.where(is_known, residual - mean, 0.0)
         for lag in range(count):
             products[lag] += float(centred[lag:] @ centred[: len(residual) - lag])

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.array_types import Array
+from estimator.array_types import Array, Mask
 from estimator.diagnosis.noise import (
     compute_block_rms,
     compute_divided_differences,
@@ -128,14 +128,12 @@ def mark_missing(signals: Signals) -> Signals:
     return {name: np.where(np.isfinite(signal), signal, np.nan) for name, signal in signals.items()}
 
 
-def select_signal_rows(
-    time: Array, signals: Signals, rows: NDArray[np.bool_]
-) -> tuple[Array, Signals]:
+def select_signal_rows(time: Array, signals: Signals, rows: Mask) -> tuple[Array, Signals]:
     """Return some of the rows of a record."""
     return time[rows], {name: signal[rows] for name, signal in signals.items()}
 
 
-def find_long_gaps(time: Array, present: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def find_long_gaps(time: Array, present: Mask) -> Mask:
     """Return which times [s] lie where no value is present for long, shape (n,)."""
     times = time[present]
     steps = np.diff(times, prepend=time[0], append=time[-1])
@@ -155,7 +153,7 @@ REGULAR_SHARE = 0.8  # of the new values, that come at one distance, or a sample
 STEPS_MIN = 4.0  # of a reading's rounding, between two new values: fewer are a slow motion
 
 
-def find_held_samples(signal: Array, step: float) -> NDArray[np.bool_]:
+def find_held_samples(signal: Array, step: float) -> Mask:
     """Return which samples of a channel are held ones; none where the sensor keeps up.
 
     Parameters
@@ -181,8 +179,6 @@ def find_held_samples(signal: Array, step: float) -> NDArray[np.bool_]:
 
 
 # --- which samples of a record are fitted, and which are held out: blocks in turn
-
-Mask = NDArray[np.bool_]
 
 
 def select_training_half(block: NDArray[np.int64], drive: Array, speed: Array) -> Mask:

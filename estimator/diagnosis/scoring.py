@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.array_types import Array
+from estimator.array_types import Array, Mask
 from estimator.diagnosis.dataset import Dataset, Fit, compute_tolerance
 from estimator.diagnosis.measured_data import Record
 from estimator.diagnosis.settings import SETTINGS
@@ -58,7 +58,7 @@ def compute_errors(
 
 
 def compute_channel_errors(
-    record: Record, channel: str, predicted: Array, samples: NDArray[np.bool_]
+    record: Record, channel: str, predicted: Array, samples: Mask
 ) -> ChannelErrors:
     """Return the errors of a predicted channel of a record on some of its samples, shape (n,)."""
     # no bin goes beyond its block: both numbers rise with time

@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.array_types import Array
-from estimator.diagnosis.measured_data import Mask, Record, RecordError, prepare_record
+from estimator.array_types import Array, Mask
+from estimator.diagnosis.measured_data import Record, RecordError, prepare_record
 from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.sampling import drop_missing
 from estimator.diagnosis.scoring import (

@@ -16,9 +16,8 @@ from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.array_types import Array
+from estimator.array_types import Array, Mask
 from estimator.lumped.lumped_model import Physics
 from estimator.online.reading_correction import CorrectionKind
 
@@ -62,7 +61,7 @@ class EffectContext(NamedTuple):
     compliance: Array  # dq_p/dT_in [m/N] of that model
     elongation_per_newton: float  # L/EA [m/N] of that model
     newton: float = 1.0  # of the records, in the unit of force here (diagnosis.measured_data)
-    present: Mapping[str, NDArray[np.bool_]] = MappingProxyType({})  # the others are interpolated
+    present: Mapping[str, Mask] = MappingProxyType({})  # the others are interpolated
     variables: Mapping[str, Array] = MappingProxyType({})  # further columns, shape (n,) each
     file: int = 0  # number of the record among those fitted, from 1; 0 = none of them
 
@@ -71,7 +70,7 @@ class EffectContext(NamedTuple):
         """Largest tension measured at the housing [N]."""
         return float(self.measured[PROXIMAL_TENSION].max())
 
-    def select_measured(self, channel: str) -> NDArray[np.bool_]:
+    def select_measured(self, channel: str) -> Mask:
         """Return which samples of a channel were measured, shape (n,)."""
         return self.present.get(channel, np.ones(len(self.time), dtype=np.bool_))
 

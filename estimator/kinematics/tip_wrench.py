@@ -4,9 +4,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from estimator.array_types import Array
+from estimator.array_types import Array, Mask
 from estimator.kinematics.arm import ArmError
 
 NO_MOMENT_JOINTS = 3
@@ -37,7 +37,7 @@ class TipWrench(NamedTuple):
     `length_scale`, so that all are in newtons."""
     singular_values: Array
     """[m] lever of each direction, shape (m,)."""
-    is_identified: NDArray[np.bool_]
+    is_identified: Mask
     """Which directions are identified, shape (m,). The others must not be rendered."""
     inverse: Array
     """Wrench per joint torque, shape (6, joints)."""

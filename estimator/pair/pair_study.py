@@ -4,10 +4,9 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from estimator.array_types import Array
+from estimator.array_types import Array, Mask
 from estimator.fitting import IntervalEstimate, build_interval, minimise_squares
 from estimator.pair.pair import PairModel, PairRecord
 from estimator.pair.pair_fit import (
@@ -350,7 +349,7 @@ def analyse_residuals(
     return tuple(parts)
 
 
-def _group_samples(record: PairRecord) -> dict[str, NDArray[np.bool_]]:
+def _group_samples(record: PairRecord) -> dict[str, Mask]:
     rising = np.gradient(record.command, record.time) > 0.0
     speed = np.abs(np.gradient(record.angle, record.time))
     is_resting = speed < REST_SPEED_RATIO * speed.max()

@@ -17,9 +17,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from estimator.array_types import Array
+from estimator.array_types import Array, Mask
 from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from estimator.law.sheath import Sheath
@@ -162,7 +162,7 @@ class _Elements(NamedTuple):
     bend: Array  # [rad]
     between: Array  # [m] half of what slips more at one end of the element than at the other
     one_way: Array  # part of the friction that acts where slip turns round within the element
-    turns_round: NDArray[np.bool_]  # whether slip may turn round within the element
+    turns_round: Mask  # whether slip may turn round within the element
     low_factor: Array  # bounds of T_e over T_(e-1), shape (2, rows): as it is taken to be, and
     high_factor: Array  # as it is taken to be for what sticks nearer to the housing
     rise: Array  # [m/N] compliance for a rise and for a fall of tension
