@@ -5,6 +5,7 @@ with the colours.
 """
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -31,6 +32,8 @@ LINE_POINTS_MAX = 3000  # of a line, at most
 MEDIAN_BINS = 24  # of medians
 MIN_SAMPLES = 15  # samples in one
 SCATTER_POINTS_MAX = 1500  # points
+_POINTS: dict[str, Any] = {"linestyle": "", "marker": ".", "markersize": 1.2, "alpha": 0.35}
+_MEDIANS: dict[str, Any] = {"marker": "o", "markersize": 2.5}
 
 
 def draw_figures(
@@ -188,14 +191,9 @@ def draw_loop(diagnosis: Diagnosis, k: int) -> Figure:
     for axes, (title, fit, colour) in zip(pair, titles, strict=True):
         signals = fit.simulated[k].signals
         simulated_x = x_factor * signals[abscissa] if abscissa in signals else x
+        curve = simulated_x[keep], y_factor * signals[ordinate][keep]
         axes.plot(x[keep], drawn_signal[keep], color=GREY, linewidth=0.9, label="measured")
-        axes.plot(
-            simulated_x[keep],
-            y_factor * signals[ordinate][keep],
-            color=colour,
-            linewidth=1.0,
-            label="simulated",
-        )
+        axes.plot(*curve, color=colour, linewidth=1.0, label="simulated")
         axes.set(xlabel=f"{diagnosis.units.name_channel(abscissa)} [{x_unit}]", title=title)
         axes.legend(loc="lower right")
     pair[0].set_ylabel(f"{diagnosis.units.name_channel(ordinate)} [{y_unit}]")
@@ -214,21 +212,9 @@ def draw_residual_dependence(diagnosis: Diagnosis) -> Figure:
             for fit, colour in ((diagnosis.baseline, VERMILION), (diagnosis.extended, BLUE)):
                 residual = _concatenate_residuals(diagnosis, fit, channel)
                 rows = _subsample_rows(np.arange(len(residual)), SCATTER_POINTS_MAX)
-                axes.plot(
-                    values[rows],
-                    residual[rows],
-                    ".",
-                    color=colour,
-                    markersize=1.2,
-                    alpha=0.35,
-                    rasterized=True,
-                )
-                axes.plot(
-                    *_compute_bin_medians(values, residual),
-                    color=colour,
-                    marker="o",
-                    markersize=2.5,
-                )
+                points = values[rows], residual[rows]
+                axes.plot(*points, color=colour, rasterized=True, **_POINTS)
+                axes.plot(*_compute_bin_medians(values, residual), color=colour, **_MEDIANS)
             axes.axhline(0.0, color=BLACK, linewidth=0.6)
             if channel == channels[-1]:
                 axes.set_xlabel(label)

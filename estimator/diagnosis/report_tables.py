@@ -31,13 +31,12 @@ def build_ranking_table(diagnosis: Diagnosis, ranking: Sequence[RankedCandidate]
         )
         for candidate in select_best_candidates(ranking, CANDIDATES_SHOWN)
     ]
-    head = (
-        "candidate",
-        "score",
-        *(f"RMSE, {diagnosis.units.name_channel(channel)}" for channel in channels),
-        "unexplained",
-    )
-    return Table(head, tuple(rows))
+    titles = _list_rmse_titles(diagnosis, channels)
+    return Table(("candidate", "score", *titles, "unexplained"), tuple(rows))
+
+
+def _list_rmse_titles(diagnosis: Diagnosis, channels: Iterable[str]) -> list[str]:
+    return [f"RMSE, {diagnosis.units.name_channel(channel)}" for channel in channels]
 
 
 def build_parameter_table(diagnosis: Diagnosis) -> Table:
@@ -82,13 +81,7 @@ def _build_choice_table(
         )
         for score in choice.scores
     ]
-    head = (
-        title,
-        "score",
-        *(f"RMSE, {diagnosis.units.name_channel(channel)}" for channel in channels),
-        "",
-    )
-    return Table(head, tuple(rows))
+    return Table((title, "score", *_list_rmse_titles(diagnosis, channels), ""), tuple(rows))
 
 
 def build_gain_table(diagnosis: Diagnosis) -> Table:
@@ -108,11 +101,10 @@ def build_gain_table(diagnosis: Diagnosis) -> Table:
 
 def build_model_table(diagnosis: Diagnosis) -> Table:
     """Return the held-out errors of the law, of models that know no sheath, and learned ones."""
-    errors = {"the plain law": {c: result.rmse for c, result in diagnosis.before.held_out.items()}}
+    laws = {"the plain law": diagnosis.before}
     if diagnosis.steps:
-        errors["the extended law"] = {
-            c: result.rmse for c, result in diagnosis.after.held_out.items()
-        }
+        laws["the extended law"] = diagnosis.after
+    errors = {name: {c: e.rmse for c, e in law.held_out.items()} for name, law in laws.items()}
     others = (*diagnosis.simple_models, *diagnosis.learned_models)
     errors |= {result.name: result.rmse for result in others}
     channels = list(diagnosis.before.held_out)

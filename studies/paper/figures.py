@@ -27,8 +27,9 @@ from studies.paper.study import (
 )
 from teleop.runtime.output_file import save_figure
 
+DASHED = (0, (4, 2))
 COLOURS = {PAPER: VERMILION, PAPER_AT_BEST: GREEN, OURS: BLUE}
-LINES = {PAPER: (0, (4, 2)), PAPER_AT_BEST: (0, (1, 1)), OURS: "solid"}
+LINES = {PAPER: DASHED, PAPER_AT_BEST: (0, (1, 1)), OURS: "solid"}
 MARKS = {PAPER: "v", PAPER_AT_BEST: "s", OURS: "o"}
 SIGNALS = ("force", "elongation")
 SHADES = ("#ffffff", "#eaf3f9", "#ffffff", "#eaf3f9", "#ffffff")  # of the phases
@@ -64,28 +65,16 @@ def draw_distributions(shown: Demonstration) -> tuple[Figure, str]:
     shades = mpl.colormaps["cividis"](np.linspace(0.0, 0.72, len(shown.distributions)))
     for found, shade in zip(shown.distributions, shades, strict=True):
         axes.plot(found.true_x, found.true, color=shade, linewidth=3.0, alpha=0.75)
-        axes.plot(found.x, found.estimate, color=BLACK, linewidth=0.9, linestyle=(0, (4, 2)))
+        axes.plot(found.x, found.estimate, color=BLACK, linewidth=0.9, linestyle=DASHED)
         axes.annotate(
-            f"{found.T_in:.1f} N",
-            (0.0, found.T_in),
-            (-4, 0),
-            textcoords="offset points",
-            ha="right",
-            va="center",
-            fontsize=7.5,
-            color=shade,
-        )
+            f"{found.T_in:.1f} N", (0.0, found.T_in), (-4, 0), textcoords="offset points",
+            ha="right", va="center", fontsize=7.5, color=shade,
+        )  # fmt: skip
     inside = [d for d in shown.distributions if 0.0 < d.front < d.x[-1] * 0.999]
-    axes.plot(
-        [d.front for d in inside],
-        [d.front_tension for d in inside],
-        "o",
-        color=VERMILION,
-        markersize=6,
-        label="X′, estimated",
-    )
+    fronts = [d.front for d in inside], [d.front_tension for d in inside]
+    axes.plot(*fronts, "o", color=VERMILION, markersize=6, label="X′, estimated")
     axes.plot([], [], color=shades[0], linewidth=3.0, alpha=0.75, label="plant")
-    axes.plot([], [], color=BLACK, linewidth=0.9, linestyle=(0, (4, 2)), label="ours")
+    axes.plot([], [], color=BLACK, linewidth=0.9, linestyle=DASHED, label="ours")
     axes.set(xlabel="distance from the housing [m]", ylabel="tension [N]", ylim=(0.0, None))
     axes.set_xlim(-0.13, None)
     axes.legend(loc="upper right")
@@ -106,15 +95,12 @@ def draw_initialisation(shown: Demonstration) -> tuple[Figure, str]:
     axes.plot(travel, pulled.record.tension[rows, 1], color=GREY, linewidth=0.9, label="tendon b")
     axes.plot(travel, pulled.tension[rows], color=BLUE, label="tendon a, pulled")
     begins = 1e3 * shown.initialised.paper.begins
-    axes.axvline(begins, color=VERMILION, linestyle=(0, (4, 2)), linewidth=1.0)
+    axes.axvline(begins, color=VERMILION, linestyle=DASHED, linewidth=1.0)
+    place = begins, 0.62 * pulled.tension[rows].max()
     axes.annotate(
-        "stop, found from\nthe tension",
-        (begins, 0.62 * pulled.tension[rows].max()),
-        (-6, 0),
-        textcoords="offset points",
-        ha="right",
+        "stop, found from\nthe tension", place, (-6, 0), textcoords="offset points", ha="right",
         color=VERMILION,
-    )
+    )  # fmt: skip
     true, K = shown.session.specimen.K, found.K
     axes.text(
         0.02,
@@ -140,13 +126,8 @@ def draw_tensions(shown: Demonstration) -> tuple[Figure, str]:
     _shade_phases(axes, shown)
     axes.plot(record.time, record.tension, color=GREY, linewidth=1.0, label="housing, load cell")
     axes.plot(record.time, record.distal_tension, color=BLACK, label="tip, true")
-    axes.plot(
-        record.time,
-        shown.estimates[OURS].distal_tension,
-        color=BLUE,
-        linestyle=(0, (4, 2)),
-        label="tip, ours",
-    )
+    estimate = shown.estimates[OURS].distal_tension
+    axes.plot(record.time, estimate, color=BLUE, linestyle=DASHED, label="tip, ours")
     axes.set(xlabel="time [s]", ylabel="tension [N]", xlim=(0.0, record.time[-1]))
     axes.legend(loc="lower right")
     return figure, (
@@ -172,13 +153,8 @@ def draw_phases(shown: Demonstration) -> tuple[Figure, str]:
             axes.plot(time, factor * getattr(record, signal)[where], color=BLACK, label="actual")
             for method in (PAPER, OURS):
                 estimate = getattr(shown.estimates[method], signal)[where]
-                axes.plot(
-                    time,
-                    factor * estimate,
-                    color=COLOURS[method],
-                    linestyle=(0, (4, 2)) if method == OURS else (0, (1, 1)),
-                    label=method,
-                )
+                style = {"linestyle": DASHED if method == OURS else (0, (1, 1)), "label": method}
+                axes.plot(time, factor * estimate, color=COLOURS[method], **style)
             axes.set(ylabel=unit, title=name)
     for axes in grid[-1]:
         axes.set_xlabel("time [s]")
@@ -203,10 +179,8 @@ def draw_sheath_shares(outcomes: list[Outcome]) -> tuple[Figure, str]:
             _draw_line(axes, PUBLISHED[signal][which], "the paper's one trial", BLACK, "dotted")
             _draw_line(axes, TARGETS[signal][which], "asked of ours", BLUE, "dashed")
             axes.set_xscale("log")
-            axes.set(
-                xlim=(100.0 * AXIS_MIN, 100.0 * AXIS_MAX),
-                xlabel=f"{item} error of {signal} [% of full scale]",
-            )
+            limits = 100.0 * AXIS_MIN, 100.0 * AXIS_MAX
+            axes.set(xlim=limits, xlabel=f"{item} error of {signal} [% of full scale]")
             axes.xaxis.set_major_formatter("{x:g}")
     for row in grid:
         row[0].set_ylabel("share of the sheaths")
@@ -250,15 +224,9 @@ def _shade_phases(axes: Axes, shown: Demonstration) -> None:
         times = record.time[label == i]
         if times.size:
             axes.axvspan(times[0], times[-1], color=SHADES[i], linewidth=0.0)
-            axes.text(
-                0.5 * (times[0] + times[-1]),
-                1.02,
-                name.replace(" to ", "\nto "),
-                transform=axes.get_xaxis_transform(),
-                ha="center",
-                va="bottom",
-                fontsize=7.5,
-            )
+            middle, words = 0.5 * (times[0] + times[-1]), name.replace(" to ", "\nto ")
+            above = {"transform": axes.get_xaxis_transform(), "ha": "center", "va": "bottom"}
+            axes.text(middle, 1.02, words, fontsize=7.5, **above)
 
 
 def _draw_staircase(
@@ -276,14 +244,9 @@ def _draw_staircase(
     x = np.concatenate([[AXIS_MIN], errors[kept], [AXIS_MAX]])
     y = np.concatenate([[0.0], share[kept], share[kept][-1:] if kept.any() else [0.0]])
     axes.step(
-        100.0 * x,
-        y,
-        where="post",
-        color=COLOURS[method],
-        linestyle=LINES[method],
-        linewidth=width,
-        label=method if motion == PROFILE else None,
-    )
+        100.0 * x, y, where="post", color=COLOURS[method], linestyle=LINES[method],
+        linewidth=width, label=method if motion == PROFILE else None,
+    )  # fmt: skip
 
 
 def _draw_line(axes: Axes, share: float, label: str, colour: str, style: str) -> None:
