@@ -75,6 +75,7 @@ from estimator.diagnosis.settings import SETTINGS, ProgressCallback, TimeBudget,
 from estimator.diagnosis.validation import (
     compute_detection_limits,
     compute_file_force,
+    compute_live_error,
     compute_model_errors,
     compute_rival_force,
     fit_folds,
@@ -492,5 +493,8 @@ def _build_diagnosis(
             dataset, base_fit, final_fit, rivals.find_equivalent_causes(steps)
         ),
         validation=predicted_records,
+        live_error=compute_live_error(folds, float(max(r.time[-1] for r in dataset.records)))
+        if steps
+        else None,
         curve=estimate_curve(full_dataset, build_contexts(dataset, base_fit), final_fit),
     )

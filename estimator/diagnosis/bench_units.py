@@ -24,6 +24,7 @@ from estimator.diagnosis.outcome import (
     Diagnosis,
     ErrorStatistics,
     FittedValue,
+    LiveError,
     ModelErrors,
     PredictedRecord,
     RankedCandidate,
@@ -94,6 +95,8 @@ def to_record_units(diagnosis: Diagnosis, scale: BenchScale) -> Diagnosis:
         validation=tuple(_unscale_prediction(original, scale) for original in diagnosis.validation),
         left_out=tuple(_unscale_prediction(original, scale) for original in diagnosis.left_out),
         curve=_unscale_curve(diagnosis.curve, scale),
+        live_error=diagnosis.live_error
+        and LiveError(*(scale.force * error for error in diagnosis.live_error)),
     )
 
 

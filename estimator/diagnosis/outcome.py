@@ -95,6 +95,28 @@ class FileForce(NamedTuple):
     after: ForceError
 
 
+LIVE_ERROR_RATIO_MAX = 1.05  # times the live error without a model, above which it is worse
+
+
+class LiveError(NamedTuple):
+    """RMSE of the force that the loop estimates on samples that were not fitted [N]."""
+
+    without: float
+    extended: float
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether the extended model is of no use in the loop."""
+        return self.extended > LIVE_ERROR_RATIO_MAX * self.without
+
+    def describe(self) -> str:
+        """Return both errors in words."""
+        return (
+            f"on data not fitted the force estimated live is off by {self.extended:.3g} N with "
+            f"this model, by {self.without:.3g} N without"
+        )
+
+
 class RivalForce(NamedTuple):
     """What another cause in the model would do to the estimated force."""
 
@@ -260,6 +282,7 @@ class Diagnosis(NamedTuple):
     validation: tuple[PredictedRecord, ...] = ()  # records that were not fitted
     left_out: tuple[PredictedRecord, ...] = ()  # each record, by the fit of the others
     forces: tuple[FileForce, ...] = ()  # error of the force that the loop would estimate
+    live_error: LiveError | None = None  # None without a cell at the tip, or a model
     rival_forces: tuple[RivalForce, ...] = ()  # what each rival would do to that force
     scale: BenchScale = UNIT_SCALE  # of the bench, at which it was made
     curve: Curve | None = None  # of a model with a free function

@@ -165,7 +165,7 @@ def format_summary(
     lines = [format_verdict(diagnosis)]
     if file := max((step.effect.file for step in diagnosis.steps), default=0):
         lines.append(f"File {file} is {names[file - 1]}; the others do without it.")
-    lines += [f"WARNING: {line}" for line in list_better_models(diagnosis)]
+    lines += [f"WARNING: {line}" for line in list_model_warnings(diagnosis)]
     parts = [format_headline(diagnosis), "\n".join(lines)]
     parts += [table.to_markdown() for table in build_tables(diagnosis, files, compared, further)]
     remains = [*describe_residuals(diagnosis), *compare_with_learned(diagnosis)]
@@ -208,9 +208,11 @@ def build_tables(
     return tables
 
 
-def list_better_models(diagnosis: Diagnosis) -> list[str]:
-    """Return in which channels a model that knows no sheath is surely better, and what to do."""
+def list_model_warnings(diagnosis: Diagnosis) -> list[str]:
+    """Return whether the model is of no use live, and where one without a sheath is better."""
     warnings, tolerance = [], compute_tolerance(diagnosis.dataset)
+    if diagnosis.live_error is not None and diagnosis.live_error.is_worse:
+        warnings.append(f"{diagnosis.live_error.describe()}: `--model` refuses it.")
     for channel, gain in diagnosis.simple_gain.items():
         errors, noise = diagnosis.after.held_out[channel], diagnosis.noise[channel]
         if gain.high < 0.0 and errors.rmse > SETTINGS.noise_ratio * tolerance[channel] * noise:

@@ -10,6 +10,7 @@ import numpy as np
 from estimator import signals
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import (
+    BaseLaw,
     Dataset,
     Fit,
     Model,
@@ -32,6 +33,7 @@ from estimator.diagnosis.outcome import (
     ErrorStatistics,
     FileForce,
     ForceError,
+    LiveError,
     ModelErrors,
     PredictedRecord,
     RivalForce,
@@ -39,7 +41,14 @@ from estimator.diagnosis.outcome import (
 )
 from estimator.diagnosis.scoring import compute_errors, compute_residual_fraction
 from estimator.diagnosis.settings import SETTINGS
-from estimator.effects.effect import Effect, EffectContext, Values
+from estimator.effects.effect import (
+    DISTAL_TENSION,
+    PROXIMAL_DISPLACEMENT,
+    PROXIMAL_TENSION,
+    Effect,
+    EffectContext,
+    Values,
+)
 from estimator.effects.functions import (
     COEFFICIENTS,
     FRICTION_BY_TIME,
@@ -436,6 +445,32 @@ def compute_force_error(model: Model, duration: float, data: MeasuredData) -> Fo
         summary["samples"],
         int(np.isnan(reading).sum() - np.isnan(data.distal_tension).sum()),
     )
+
+
+def compute_live_error(folds: Sequence[Fold], duration: float) -> LiveError | None:
+    """Return how far the force is off in samples that were not fitted, live, with both models.
+
+    None where the loop runs no such model, or nothing tells the force.
+    """
+    dataset = folds[0].dataset
+    first = dataset.records[0]
+    if first.loop or first.units.rotary or dataset.base.law is not BaseLaw.CAPSTAN:
+        return None
+    squares, samples = np.zeros(2), 0
+    for fold in folds:
+        for record in fold.dataset.records:
+            is_judged = record.measured & (~record.train | record.train.all())
+            tip = record.signals.get(DISTAL_TENSION)
+            if tip is not None:
+                tip = np.where(is_judged & record.valid[DISTAL_TENSION], tip, np.nan)
+            travel = record.signals.get(PROXIMAL_DISPLACEMENT)
+            data = Samples(record.time, record.signals[PROXIMAL_TENSION], travel, tip)
+            errors = [compute_force_error(fit.model, duration, data) for fit in fold.fits]
+            if errors[0] is None or errors[1] is None:
+                continue
+            squares += [error.samples * error.rmse**2 for error in errors if error is not None]
+            samples += errors[0].samples
+    return LiveError(*np.sqrt(squares / samples).tolist()) if samples else None
 
 
 def _select_complete_rows(data: MeasuredData) -> Samples:

@@ -68,6 +68,7 @@ class FunctionConstants(Struct):
     low: F64 = 0.0  # of the variable that was seen
     high: F64 = 0.0
     spread: F64 = 0.0  # of its values, by which friction may be off beyond that range
+    peak: F64 = math.inf  # of its absolute values; infinite beside other effects
     coefficients: Annotated[Array, Field("f8", COEFFICIENTS)]
 
 
@@ -251,6 +252,19 @@ def varies_friction(constants: DynamicConstants) -> bool:
 @jit_compile
 def _warp(x: float) -> float:
     return math.copysign(math.sqrt(abs(x)), x)
+
+
+@jit_compile
+def bound_tip_tension(constants: DynamicConstants, T_law: float, T_out: float) -> float:
+    """Return a tension at the tip [N] no farther from that of the law than friction allows.
+
+    ln T_out is a superposition of plays of T_in, none wider than K; where K changes by a share of
+    at most `peak`, no play, and so not ln T_out, differs by more than `peak` K.
+    """
+    if not varies_friction(constants):
+        return T_out
+    ratio = math.exp(constants.friction * constants.function.peak)
+    return min(max(T_out, T_law / ratio), T_law * ratio)
 
 
 @jit_compile

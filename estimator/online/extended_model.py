@@ -192,7 +192,11 @@ def build_extended_model(
         uses.append((effect, values, use))
     law = base._replace(**{name: getattr(current, name) for name in _LAW_FIELDS})
     dynamics = None
-    if function is not None or _is_different(law, current, _DYNAMIC_FIELDS):
+    has_dynamics = _is_different(law, current, _DYNAMIC_FIELDS)
+    if function is not None or has_dynamics:
+        if function is not None:
+            is_alone = not has_dynamics and law.drag == 0.0
+            function.peak = function.peak * max(1.0, law.asymmetry) if is_alone else np.inf
         dynamics = dynamic_correction.build_constants(law, current, function)
     extension = None
     if dynamics is not None or readings:
@@ -212,6 +216,7 @@ def _build_function(
         low=values[0],
         high=values[1],
         spread=float(np.ptp(grid)),
+        peak=float(np.abs(grid).max()),
     )
     constants.coefficients[:] = values[-COEFFICIENTS:]
     return constants

@@ -31,6 +31,7 @@ from estimator.law.transmission import evaluate_tension, read_profile
 from estimator.online.driving_end import anchor_window, drive_profile
 from estimator.online.dynamic_correction import (
     bound_function_error,
+    bound_tip_tension,
     slide_tendons,
     update_correction,
     varies_friction,
@@ -386,7 +387,8 @@ def _add_dynamics(
     tension_max = max(
         state.max_tension, T_out
     )  # no tip that is only pulled at pulls harder than that
-    corrected = min(max(T_out + change, 0.0), tension_max)
+    corrected = bound_tip_tension(prepared.dynamics, T_out, max(T_out + change, 0.0))
+    corrected = min(corrected, tension_max)
     estimate.distal_tension = corrected
     estimate.low = min(max(min(low, low + change), 0.0), corrected)
     estimate.high = max(high, min(high + change, tension_max), corrected)

@@ -7,6 +7,7 @@ base:
 duration: 60.0                  # [s] of the longest record; drifts are evaluated at its end
 unexplained: false              # whether most of the error is not in the model
 unsure: [stribeck_friction]     # effects that the data do not distinguish from those of the model
+live_error: [0.28, 0.16]        # [N] RMSE of the live force without and with it, on data not fitted
 effects:                        # in this order
 - name: friction_step
   where: ''                     # the variant, where there are several
@@ -27,7 +28,7 @@ import yaml
 
 from estimator.diagnosis.dataset import COMPLIANCE, FRICTION, TIP_COMPLIANCE, BaseLaw, Model
 from estimator.diagnosis.measured_data import parse_dimension
-from estimator.diagnosis.outcome import Diagnosis, Verdict
+from estimator.diagnosis.outcome import Diagnosis, LiveError, Verdict
 from estimator.effects import CATALOGUE, Effect, Parameter, Values
 from estimator.effects.functions import find_function
 from teleop.config import strict_yaml
@@ -40,6 +41,8 @@ BASE_PARAMETERS = {"K": FRICTION, "compliance": COMPLIANCE, "tip_compliance": TI
 """Key -> what it is; a model of tensions alone has only the first."""
 
 DURATION = Parameter("duration", "s", 0.0, 1e7, 1.0)
+
+LIVE_ERROR = Parameter("live_error", "N", 0.0, 1e6, 1.0)
 
 BOUND_TOLERANCE = 1e-6  # of a bound, tolerance of fitted values
 # by which forces or travels may be larger or smaller than on the bench of the ranges
@@ -54,6 +57,7 @@ class SavedModel(NamedTuple):
     unsure: tuple[str, ...]  # effects that the data do not distinguish from those of the model
     unexplained: bool = False  # whether most of the error is not in the model
     transmission: Mapping[str, Any] = MappingProxyType({})  # if it is no tendon of the capstan law
+    live_error: LiveError | None = None
 
 
 def from_diagnosis(diagnosis: Diagnosis) -> SavedModel:
@@ -82,6 +86,7 @@ def from_diagnosis(diagnosis: Diagnosis) -> SavedModel:
         diagnosis.ambiguous_with,
         diagnosis.verdict is Verdict.UNEXPLAINED,
         transmission,
+        diagnosis.live_error,
     )
 
 
@@ -104,6 +109,7 @@ def to_yaml(saved: SavedModel, remark: str) -> str:
         "duration": float(saved.duration),
         "unexplained": saved.unexplained,
         "unsure": list(saved.unsure),
+        **({"live_error": list(saved.live_error)} if saved.live_error else {}),
         "effects": [
             {
                 "name": effect.name,
@@ -140,7 +146,8 @@ def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> SavedModel:
         raise UsageError(
             f"{path}: not a model file; give a model.yaml of `teleop diagnose --out DIR`"
         )
-    _reject_unknown_keys(path, "", tree, ("base", "duration", "unexplained", "unsure", "effects"))
+    keys_allowed = ("base", "duration", "unexplained", "unsure", "live_error", "effects")
+    _reject_unknown_keys(path, "", tree, keys_allowed)
     base = _parse_mapping(path, "base", tree.get("base"))
     keys = list(BASE_PARAMETERS) if len(base) > 1 else ["K"]
     shared = _parse_numbers(
@@ -168,7 +175,20 @@ def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> SavedModel:
     unexplained = tree.get("unexplained", False)
     if not isinstance(unexplained, bool):
         raise UsageError(f"{path}: unexplained: {unexplained!r}, must be true or false")
-    return SavedModel(Model(shared, (), effect_values), duration, tuple(unsure), unexplained)
+    live_error = _parse_live_error(path, tree.get("live_error"))
+    model = Model(shared, (), effect_values)
+    return SavedModel(model, duration, tuple(unsure), unexplained, live_error=live_error)
+
+
+def _parse_live_error(path: Path, value: Any) -> LiveError | None:
+    if value is None:
+        return None
+    if not isinstance(value, list) or len(value) != 2:
+        raise UsageError(f"{path}: live_error: must be a list of two errors [N]")
+    error = LiveError(*(_parse_number(path, "live_error", x, LIVE_ERROR) for x in value))
+    if error.is_worse:
+        raise UsageError(f"{path}: {error.describe()}; it is not for the loop")
+    return error
 
 
 def _parse_effect(

@@ -49,7 +49,7 @@ def render(
         f"{date.today():%Y-%m-%d}, tendon-teleop {version('tendon-teleop')}. "
         f"Data: {', '.join(files)}."
     )
-    for sentence in report_text.list_better_models(diagnosis):
+    for sentence in report_text.list_model_warnings(diagnosis):
         page.add_text(f"WARNING: {sentence}")
     for step in diagnosis.steps:
         rivals = "; ".join(report_text.list_rivals(step)) or "none in these data"

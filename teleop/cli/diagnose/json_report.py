@@ -133,7 +133,8 @@ def build_report(
         "learned_models": {item.name: item.rmse for item in diagnosis.learned_models},
         "learned_gain": diagnosis.learned_gain,
         "learned": report_text.compare_with_learned(diagnosis),
-        "better_models": report_text.list_better_models(diagnosis),
+        "model_warnings": report_text.list_model_warnings(diagnosis),
+        "live_error": diagnosis.live_error,
         "gain": diagnosis.gain,
         "noise": diagnosis.noise,
         "driver": {

@@ -12,7 +12,7 @@ from estimator.diagnosis.characterisation import fit_functions
 from estimator.diagnosis.dataset import build_dataset
 from estimator.diagnosis.fit import fit_model
 from estimator.diagnosis.measured_data import RecordError, prepare_record
-from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.outcome import LiveError, Verdict
 from estimator.diagnosis.settings import ignore_progress
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import PROXIMAL_DISPLACEMENT, EffectContext
@@ -45,6 +45,11 @@ def test_the_variable_and_its_curve_are_found():
     true = (1.0 + true) / (1.0 + np.median(true)) - 1.0
     inner = slice(10, -10)
     assert np.corrcoef(curve.value[inner], true[inner])[0, 1] > 0.95
+    assert found.live_error.extended < 0.5 * found.live_error.without
+    assert report_text.list_model_warnings(found) == []
+    worse = found._replace(live_error=LiveError(*reversed(found.live_error)))
+    (warning,) = report_text.list_model_warnings(worse)
+    assert warning.endswith("`--model` refuses it.")
     said = report_text.format_verdict(found)
     assert said.startswith("No named cause explains the error; friction depends on motor position")
     assert "% of the error beyond noise" in said

@@ -67,7 +67,7 @@ def test_lugre_is_found():
 def test_on_a_clean_bench_the_law_is_better_than_any():
     made = hidden.make(71, (), bench="spring", duration=40.0, rate=50.0)
     found = diagnose_records([prepare_record(made.time, dict(made.channels))], ())
-    assert report_text.list_better_models(found) == []
+    assert report_text.list_model_warnings(found) == []
     for channel in ("proximal_tension", "distal_tension"):
         assert found.simple_gain[channel].low > 0.5
     for one in found.simple_models:
@@ -79,7 +79,7 @@ def test_a_model_that_beats_the_law_is_named():
     T_in = walk(2)
     signals = {"proximal_tension": T_in, "distal_tension": 0.7 * after_a_play(T_in, 1.9)}
     found = diagnose_records([prepare_record(np.arange(len(T_in)) * 0.01, signals)], ())
-    (said,) = report_text.list_better_models(found)
+    (said,) = report_text.list_model_warnings(found)
     assert said.startswith("tension at the tip: ")
     assert "play operator with gain predicts it better than this model" in said
     assert "--effects distributed_play" in said

@@ -90,6 +90,18 @@ def test_beyond_the_range_that_was_seen_the_interval_is_wider():
     assert width[1] > 1.2 * width[0]
 
 
+def test_a_function_changes_the_force_by_no_more_than_its_friction_can():
+    x = np.linspace(0.0, 10.0, 50)
+    data = hidden.make(2, (), duration=SECONDS, rate=100.0)
+    model, _ = built(data, fitted("friction_by_position", x, 0.3 * np.sin(x)))
+    K, dynamics = data.truth["sheath"]["K"], model.extension.dynamics
+    peak = dynamics.function.peak
+    assert peak == pytest.approx(0.3, abs=0.05)
+    for T_out, side in ((93.0, 1.0), (1e-3, -1.0)):
+        bounded = dynamic_correction.bound_tip_tension(dynamics, 4.0, T_out)
+        assert bounded == pytest.approx(4.0 * math.exp(side * K * peak))
+
+
 def test_what_the_loop_cannot_follow_is_left_out_with_the_reason():
     x = np.linspace(0.0, 10.0, 50)
     data = hidden.make(2, (), duration=SECONDS, rate=100.0)

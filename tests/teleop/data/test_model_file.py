@@ -4,6 +4,7 @@ import pytest
 import yaml
 
 from estimator.diagnosis.dataset import Model
+from estimator.diagnosis.outcome import LiveError
 from estimator.effects import CATALOGUE
 from teleop.data import model_file
 from teleop.errors import UsageError
@@ -17,7 +18,7 @@ def middling(effect):
 def test_every_effect_comes_back_to_the_bit(tmp_path):
     path = tmp_path / "model.yaml"
     model = Model((0.1 + 0.2, 1.0 / 7000.0, 3e-4), (), tuple(map(middling, CATALOGUE)))
-    saved = model_file.SavedModel(model, 61.7, ("creep",))
+    saved = model_file.SavedModel(model, 61.7, ("creep",), live_error=LiveError(0.28, 0.16))
     model_file.save(path, saved, "two\nlines")
     assert model_file.load(path) == saved
     assert path.read_text().startswith("# two\n# lines\n")
@@ -65,6 +66,13 @@ def test_numbers_that_cannot_be_right_are_refused(tmp_path, tree):
     assert refusal(tmp_path, tree) == "base.K: is missing"
     del tree["base"]
     assert "not a model file" in refusal(tmp_path, tree)
+
+
+def test_a_model_that_makes_the_live_force_worse_is_refused(tmp_path, tree):
+    tree["live_error"] = [0.28, 5.63]
+    assert "is off by 5.63 N with this model, by 0.28 N without" in refusal(tmp_path, tree)
+    tree["live_error"] = 0.28
+    assert refusal(tmp_path, tree) == "live_error: must be a list of two errors [N]"
 
 
 def test_numbers_of_benches_of_other_sizes_are_read_and_none_without_a_meaning(tmp_path, tree):

@@ -17,7 +17,7 @@ from teleop.data.table_files import read_columns
 FAULT = "distal_tension_gain"
 KEYS = {
     *("verdict", "cause", "candidates", "ambiguous_with", "parameters", "baseline", "extended"),
-    *("gain", "noise", "simple_models", "simple_gain", "better_models", "driver", "seconds"),
+    *("gain", "noise", "simple_models", "simple_gain", "model_warnings", "driver", "seconds"),
 }
 COMPARED = {"proximal_tension", "distal_tension", "distal_displacement"}
 
