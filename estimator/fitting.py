@@ -168,6 +168,10 @@ CORRELATION_MAX = 0.9999
 """Largest correlation from one sample to the next: one sample in 20 000 stays independent."""
 
 
+WINDOW_TIMES = 5.0  # integrated autocorrelations, up to which one is summed
+LAG_DIVISOR = 6  # of a residual's length, the longest lag
+
+
 def estimate_correlation(
     residual: Array, *, centred: bool = True, correlation_max: float = CORRELATION_MAX
 ) -> float:
@@ -185,6 +189,21 @@ def estimate_correlation(
     power = float(centred_residual @ centred_residual)
     r = float(centred_residual[1:] @ centred_residual[:-1]) / power if power > 0.0 else 0.0
     return min(max(r, 0.0), correlation_max)
+
+
+def compute_correlation_time(residual: Array) -> float:
+    """Return over how many samples a residual remembers: its integrated autocorrelation, 1 or more.
+
+    Up to a lag of `WINDOW_TIMES` of it (Sokal, in Functional Integration, 1997).
+    """
+    n = len(residual)
+    spectrum = np.fft.rfft(residual - residual.mean(), 2 * n)
+    covariance = np.fft.irfft(np.abs(spectrum) ** 2)[: max(n // LAG_DIVISOR, 1)]
+    if not covariance[0] > 0.0:
+        return 1.0
+    times = 2.0 * np.cumsum(covariance) / covariance[0] - 1.0
+    is_window = np.arange(len(times)) >= WINDOW_TIMES * times
+    return max(float(times[np.argmax(is_window) if is_window.any() else -1]), 1.0)
 
 
 def compute_independent_share(correlation: float) -> float:

@@ -11,7 +11,7 @@ from estimator.diagnosis.intervals import estimate_residual_variance
 from estimator.diagnosis.outcome import Curve
 from estimator.effects.effect import EffectContext
 from estimator.effects.functions import COEFFICIENTS, compute_basis, evaluate_function
-from estimator.fitting import COVERAGE_FACTOR
+from estimator.fitting import COVERAGE_FACTOR, compute_correlation_time
 from estimator.units import Units, format_quantity
 
 CURVE_POINTS = 101
@@ -20,7 +20,8 @@ CURVE_POINTS = 101
 def estimate_curve(dataset: Dataset, contexts: Sequence[EffectContext], fit: Fit) -> Curve | None:
     """Return the free function of a model with its 95 % interval; None without one.
 
-    The band is that of the penalised fit (Wahba, J. R. Stat. Soc. B 45, 1983).
+    The band is that of the penalised fit (Wahba, J. R. Stat. Soc. B 45, 1983), of as many
+    independent samples as the longest memory of a channel's residual leaves.
     """
     names = ParameterLayout(dataset, fit.model).names
     for effect, values in fit.model.effects:
@@ -31,7 +32,11 @@ def estimate_curve(dataset: Dataset, contexts: Sequence[EffectContext], fit: Fit
         x = np.linspace(ends[0], ends[1], CURVE_POINTS)
         first = names.index(f"{effect.name}.{effect.parameters[-COEFFICIENTS].name}")
         J = compute_jacobian(dataset, contexts, fit)
-        variance = estimate_residual_variance(compute_residual(dataset, fit), J.shape[1])
+        residual = compute_residual(dataset, fit)
+        variance = max(
+            estimate_residual_variance(residual, J.shape[1]),
+            _estimate_memory(dataset, fit) * float(np.mean(residual**2)),
+        )
         spread = np.linalg.pinv(J)[first : first + COEFFICIENTS] * effect.parameters[-1].step
         basis = compute_basis(effect, values, x)
         centred = basis - basis.mean(axis=0)
@@ -48,6 +53,21 @@ def estimate_curve(dataset: Dataset, contexts: Sequence[EffectContext], fit: Fit
             shapes[0] if term.is_periodic else 0.0,
         )
     return None
+
+
+def _estimate_memory(dataset: Dataset, fit: Fit) -> float:
+    """Return over how many samples the residual of a channel remembers, at most."""
+    return max(
+        compute_correlation_time(
+            ((simulated.signals[channel] - record.signals[channel]) / scale[channel])[
+                record.train & record.valid[channel]
+            ]
+        )
+        for record, simulated, scale in zip(
+            dataset.records, fit.simulated, dataset.scale, strict=True
+        )
+        for channel in record.compared
+    )
 
 
 def describe_curve(curve: Curve, units: Units) -> str:

@@ -450,11 +450,16 @@ def compute_force_error(model: Model, duration: float, data: MeasuredData) -> Fo
 def compute_live_error(folds: Sequence[Fold], duration: float) -> LiveError | None:
     """Return how far the force is off in samples that were not fitted, live, with both models.
 
-    None where the loop runs no such model, or nothing tells the force.
+    None where the loop runs no such model, nothing tells the force, or the model is not of the
+    whole record: friction that is taken as it ended is not judged by how it began.
     """
     dataset = folds[0].dataset
     first = dataset.records[0]
     if first.loop or first.units.rotary or dataset.base.law is not BaseLaw.CAPSTAN:
+        return None
+    as_ended = FRICTION_TIME_EFFECTS | FUNCTIONS_AT_END
+    effects = [effect for effect, _ in folds[0].fits[1].model.effects]
+    if any(effect.name in as_ended or is_record_specific(effect) for effect in effects):
         return None
     squares, samples = np.zeros(2), 0
     for fold in folds:

@@ -17,12 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.diagnosis.api import diagnose_records
-from estimator.diagnosis.dataset import BaseLaw, build_context
+from estimator.diagnosis.dataset import build_context
 from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
-from estimator.diagnosis.validation import compute_force_error
 from estimator.effects import CATALOGUE
-from estimator.measured_data import Samples
+from estimator.effects.effect import Effect, Parameter
 from studies import hidden
 from studies.testbed.command import parse_options
 from teleop.runtime.parallel import count_processors, map_in_parallel
@@ -33,6 +32,7 @@ ALIKE = 3  # causes in a set that is not told apart
 ORACLE = 1.15
 LEFT = 0.3  # of the error beyond noise, which the true law takes away
 ABSORBED = 1.8  # noises: no more than the diagnosis allows noise and a simulation's own error
+GAIN = 0.7  # of what the true friction explains, that a function explains
 WITHIN = 0.1  # of itself, a number is right
 ANGLES = ("sine", "cosine")
 _AT_THE_END = {
@@ -102,7 +102,8 @@ class Result(NamedTuple):
     seconds: float  # of the processor
     by: str = ""  # the function that is to be found
     inside: float = math.nan  # share of the samples in which its band has the true friction
-    forces: tuple[float, float] = (math.nan, math.nan)  # [N] RMSE, estimated without and with it
+    forces: tuple[float, float] = (math.nan, math.nan)  # [N] RMSE live, held out, without and with
+    gain: float = math.nan  # of held-out errors beyond noise, over that of the true friction
 
     @property
     def right(self):
@@ -176,7 +177,8 @@ def judge(case, among=CATALOGUE, oracle=True):
         seconds,
         by,
         _inside_band(made, found) if has_curve else math.nan,
-        _force_errors(made, found) if has_curve else (math.nan, math.nan),
+        found.live_error or (math.nan, math.nan),
+        _gain_over_truth(made, record, found) if has_curve and oracle else math.nan,
     )
 
 
@@ -227,13 +229,25 @@ def _inside_band(made, found):
     return float(np.mean(np.abs(true - value) <= width))
 
 
-def _force_errors(made, found):
-    """Return the RMSE of the force at the tip by the live estimator, without and with a model."""
-    if found.dataset.base.law is not BaseLaw.CAPSTAN:
-        return math.nan, math.nan
-    models = found.baseline.model, found.extended.model
-    data = Samples(made.time, **made.channels)
-    return tuple(compute_force_error(model, found.duration, data).rmse for model in models)
+def _gain_over_truth(made, record, found):
+    """Return the share of the error beyond noise that is explained, over that by true friction."""
+
+    def physics(plain, values, context):
+        friction = np.interp(record.start + context.time, made.time, made.friction)
+        return plain._replace(friction=plain.friction * (1.0 + values[0] * (friction - 1.0)))
+
+    true = Effect(
+        name="true_friction",
+        cause="",
+        equation="",
+        parameters=(Parameter("share", "", 0.0, 2.0, 0.05, 0.0),),
+        source="",
+        advice="",
+        starts=lambda _: [(1.0,)],
+        physics=physics,
+    )
+    left = diagnose_records([record], [true]).residual_fraction
+    return (1.0 - found.residual_fraction) / (1.0 - left)
 
 
 def _to_be_found(case, truth):
@@ -327,8 +341,8 @@ def show(result):
         f"{result.oracle:.2f} of the oracle, {result.seconds:.0f} s",
         ""
         if math.isnan(result.inside)
-        else f"{result.inside:.0%} of the curve in its band, force off by "
-        "{:.3g} N without it, {:.3g} N with it".format(*result.forces),
+        else f"{result.inside:.0%} of the curve in its band, {result.gain:.0%} of the true gain, "
+        "force off by {:.3g} N without it, {:.3g} N with it".format(*result.forces),
         *(f"{n.name} {n.found:.4g} not {n.true:.4g}" for n in result.numbers if not n.right),
         flush=True,
     )
@@ -369,6 +383,12 @@ def summary(results):
             f"curves: {np.mean([r.inside for r in curves]):.0%} of the samples in their bands, "
             f"at most {LEFT:.0%} left in {explained} of {len(curves)}"
         )
+        gains = [r.gain for r in curves if not math.isnan(r.gain)]
+        near = sum(gain >= GAIN for gain in gains)
+        print(f"gain at least {GAIN:.0%} of that of the true friction: {near} of {len(gains)}")
+        forces = [r.forces for r in curves if not math.isnan(r.forces[0])]
+        better = sum(extended < without for without, extended in forces)
+        print(f"live force nearer with the function: {better} of {len(forces)}")
     taken = Counter(
         ("+".join(r.case.effects) or "clean", "+".join(r.causes) or r.verdict)
         for r in results

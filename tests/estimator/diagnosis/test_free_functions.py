@@ -58,6 +58,18 @@ def test_the_variable_and_its_curve_are_found():
     assert {*CAUSES} <= {candidate.name for candidate in found.ranking}
 
 
+def test_the_band_holds_the_curve_where_the_spline_cannot_follow_it():
+    made, found = diagnosed(
+        "outside:rough_spot", 512, functions=("friction_by_position",), travel_noise=5e-7
+    )
+    record, curve = found.dataset.records[0], found.curve
+    value, width = (np.interp(record.drive, curve.x, y) for y in (curve.value, curve.half_width))
+    friction = np.interp(record.start + record.time, made.time, made.friction)
+    true = friction * np.median((1.0 + value) / friction) - 1.0
+    assert np.mean(np.abs(true - value) <= width) > 0.9
+    assert np.median(width) < 0.1
+
+
 @pytest.mark.parametrize("variable", ["speed", pytest.param("path", marks=pytest.mark.slow)])
 def test_a_curve_is_as_smooth_as_held_out_samples_favour(variable):
     """A line to few samples at an end of the range, or too stiff a curve, is not significant."""
