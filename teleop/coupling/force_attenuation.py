@@ -86,16 +86,11 @@ def attenuate_forces(
 ) -> None:
     """Write the rendered forces [N] of so many joints to `out`.
 
-    Parameters
-    ----------
-    arm : array of int, shape (joints,) or longer
-        Number of the arm in space that a joint belongs to, -1 for one by itself. The joints of an
-        arm are neighbours.
-    estimates : array, shape (3, joints) or wider
-        Force [N], low and high end of its interval. If one of an
-        arm is invalid (NaN or swapped ends), the arm renders nothing.
-    reduction : float
-        Part of them that is not rendered (`SlaveState.force_reduction`); all unless within 0 ... 1.
+    `arm`, shape (joints,) or longer, is the number of the arm in space that a joint belongs to, -1
+    for one by itself; the joints of an arm are neighbours. `estimates`, shape (3, joints) or wider,
+    are force [N], low and high end of its interval; if one of an arm is invalid (NaN or swapped
+    ends), the arm renders nothing. `reduction` is the part of them that is not rendered
+    (`SlaveState.force_reduction`); all unless within 0 ... 1.
     """
     factor = 1.0
     share = 1.0 - reduction if 0.0 <= reduction <= 1.0 else 0.0

@@ -169,21 +169,10 @@ def convert_to_si(
 
     A unit by the option may end with the reading at zero, which is subtracted: `2.5 N, zero 8060`.
 
-    Parameters
-    ----------
-    numbers : dict
-        Column name -> values, shape (samples,).
-    columns : sequence of mapping
-        Field of `MeasuredTable` -> column name, one of each tendon.
-    stated_units : sequence of mapping
-        Field -> column name and unit by the option (`split_unit`), likewise.
-    row_units : mapping
-        Column name -> unit by a row of units below the names.
-
-    Raises
-    ------
-    UsageError
-        A unit is of another dimension; or it is unknown, and the option or brackets tell it.
+    `numbers` are values, shape (samples,), by column; `columns` are those of each tendon by the
+    field of `MeasuredTable`, `stated_units` likewise column and unit by the option (`split_unit`);
+    `row_units` are those by a row of units below the names. `UsageError` if a unit is of another
+    dimension; or it is unknown, and the option or brackets tell it.
     """
     factors: dict[str, tuple[str, float]] = {}
     zeros: dict[str, float] = {}

@@ -134,20 +134,11 @@ class _Resampler:
 
 
 def read_episodes(batches: RecordingBatches, fps: int, mark: str = "") -> Iterator[Episode]:
-    """Yield the episodes of a recording.
+    """Yield the episodes of a recording, its `batches` of all columns, with `fps` frames a second.
 
     An episode lasts while the slave is engaged, clutch included; or, with `mark`, from each event
     whose text contains it until the next, or the end. It begins once there is a command, and ends
     too where no state was recorded for half a second or the slave's clock was set back.
-
-    Parameters
-    ----------
-    batches : RecordingBatches
-        Of all columns.
-    fps : int
-        [Hz] frames a second.
-    mark : str
-        Part of the text of an event; "" = episodes by engagement.
     """
     resampler: _Resampler | None = None
     start_ns = last_ns = 0
@@ -193,26 +184,9 @@ def write_dataset(
 ) -> DatasetSummary:
     """Write the episodes of recordings as a dataset; the folder appears when all is written.
 
-    Parameters
-    ----------
-    folder : Path
-        A new folder, the root of the dataset.
-    paths : sequence of Path
-        The recordings, in order.
-    repo_id : str
-        Name of the dataset, in its card.
-    fps : int
-        [Hz] frames a second.
-    task : str
-        What is done, in words.
-    mark : str
-        As of `read_episodes`.
-
-    Raises
-    ------
-    UsageError
-        A recording cannot be read; they differ in their joints; there is no episode; or the folder
-        exists or cannot be written.
+    The card has the name `repo_id`; `fps` [Hz] are the frames a second, `task` is what is done in
+    words, `mark` as of `read_episodes`. `UsageError` if a recording cannot be read; they differ in
+    their joints; there is no episode; or the folder exists or cannot be written.
     """
     summary, rows, sources = DatasetSummary(), list[dict[str, Any]](), list[str]()
     with make_new_folder(folder) as root:

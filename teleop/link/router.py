@@ -124,11 +124,6 @@ class Router:
         self._watch.undeclare()
         self._zenoh.close()
 
-    @property
-    def neighbours(self) -> int:
-        """Number of other routers connected to this one."""
-        return len(self._zenoh.info.routers_zid())
-
     def _on_token(self, sample: Any) -> None:
         key = str(sample.key_expr)
         token = Token.from_key(key)

@@ -92,10 +92,6 @@ class OutputTopic:
     convert: Callable[[Any, NamingContext], Iterator[Sample]] | None = None
     is_of_arms: bool = False  # only where there are arms with kinematics
 
-    def build_topic_name(self, prefix: str) -> str:
-        """Return the full name of the topic."""
-        return build_topic_name(self.name, prefix)
-
 
 def build_topic_name(name: str, prefix: str) -> str:
     """Return the full name of a topic below a prefix."""

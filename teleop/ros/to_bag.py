@@ -125,22 +125,9 @@ def convert_recording(info: RecordingInfo, bag: BagWriter, prefix: str, period_s
 def write_bag(path: Path, folder: Path, prefix: str, rate_hz: float | None) -> int:
     """Convert a recording to a bag in a new folder, say what it lacks and what was written.
 
-    Parameters
-    ----------
-    prefix : str
-        Before topics and frames, such as "/lab"; "" = none.
-    rate_hz : float or None
-        [Hz] at most so many messages of a live topic; None = all.
-
-    Returns
-    -------
-    int
-        The exit code.
-
-    Raises
-    ------
-    UsageError
-        An argument is wrong, the recording cannot be read, or the extra `ros` is missing.
+    `prefix` is before topics and frames, such as "/lab", "" = none; of a live topic are at most
+    `rate_hz` messages a second, None = all. Returns the exit code. `UsageError` if an argument is
+    wrong, the recording cannot be read, or the extra `ros` is missing.
     """
     if rate_hz is not None and not 0.01 <= rate_hz <= 10_000:
         raise UsageError(f"--rate {rate_hz:g}: allowed are 0.01 to 10000 [Hz]")

@@ -20,24 +20,10 @@ def start_module(
 ) -> "subprocess.Popen[Any]":
     """Start a module of ours with some words of a command line in a process of its own.
 
-    Parameters
-    ----------
-    module : str
-        Dotted name, as of `python -m`.
-    environment : mapping
-        Added to the environment of this process.
-    is_supervised : bool
-        Whether this process speaks for the child, which ends when this one dies
-        (`process.is_supervised`).
-    gets_interrupts : bool
-        Whether Ctrl-C in the terminal reaches the child; if not, this process has to end it.
-    **options
-        Of `subprocess.Popen`; without others the child has no input.
-
-    Raises
-    ------
-    OSError
-        The process cannot be started.
+    The `environment` is added to that of this process. A child that `is_supervised`, which this
+    process speaks for, ends when this one dies (`process.is_supervised`). Ctrl-C in the terminal
+    reaches one that `gets_interrupts`; this process has to end any other. The `options` are of
+    `subprocess.Popen`; without others the child has no input. `OSError` if it cannot be started.
     """
     supervised = {SUPERVISED_VARIABLE: str(os.getpid())} if is_supervised else {}
     return subprocess.Popen(

@@ -146,16 +146,11 @@ def show_session(
 ) -> FeedCounts:
     """Show received messages until stopped.
 
-    Parameters
-    ----------
-    drain : callable
-        Returns the messages since the last call, as `Listener.drain`; called at `drain_hz` [Hz].
-    periods_s : tuple of two floats
-        [s] between updates of the scene, and of the curves; stretched, and rows thinned by the
-        same factor, where they would take more than `processor_share`, of one processor, or where
-        a page does not keep up.
-    has_ended : callable
-        Whether neither side of the session is there; asked when nothing arrives, and at the end.
+    `drain` returns the messages since the last call, as `Listener.drain`; called at `drain_hz`.
+    `periods_s` are between updates of the scene, and of the curves; stretched, and rows thinned by
+    the same factor, where they would take more than `processor_share`, of one processor, or where a
+    page does not keep up. `has_ended`: whether neither side of the session is there; asked when
+    nothing arrives, and at the end.
     """
     fed = FeedCounts()
     pictures, curves = (MessageBuffer(period_s, 1.0 / drain_hz) for period_s in periods_s)

@@ -14,7 +14,7 @@ import pytest
 
 from teleop.messages.topics import STATE, TOPICS
 from teleop.ros.message_types import JOINT_STATE
-from teleop.ros.outputs import OUTPUTS
+from teleop.ros.outputs import OUTPUTS, build_topic_name
 from teleop.view.foxglove_server import FoxgloveServer
 from tests.root import ROOT
 from tests.teleop.recorded import heard
@@ -157,7 +157,7 @@ def test_the_layouts_name_what_there_is():
     for path in paths:
         topic, _, text = path.partition(".")
         assert field_of(topics[topic], text), path
-    outputs = {output.build_topic_name(""): output for output in OUTPUTS}
+    outputs = {build_topic_name(output.name, ""): output for output in OUTPUTS}
     tree = ElementTree.parse(ROOT / "configs" / "plotjuggler-layout.xml")  # noqa: S314 - ours
     for curve in tree.iter("curve"):
         topic, _, rest = curve.get("name").rpartition("/")

@@ -5,13 +5,12 @@ import json
 import math
 import re
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from teleop.cli.config.keys import Config, Key, describe_keys, list_tags
 from teleop.config import strict_yaml
 from teleop.config.extensions import Extension
-from teleop.config.loading import RECORDING_SUFFIX, ConfigDocument, as_tree
+from teleop.config.loading import ConfigDocument, as_tree
 from teleop.config.overrides import Keys, find_override
 from teleop.config.suggestions import suggest_spelling
 from teleop.errors import UsageError
@@ -89,9 +88,7 @@ class _SourceFinder:
     def __init__(self, document: ConfigDocument) -> None:
         self._document = document
         self._lines = strict_yaml.find_lines(document.text)
-        name = "" if document.path is None else document.path.name
-        self._is_recording = Path(name).suffix == RECORDING_SUFFIX
-        self._file = name
+        self._file = "" if document.path is None else document.path.name
 
     def find(self, keys: Keys, extension: str) -> str:
         """Return the source of the value at `keys`, in a section of an `extension` or of ours."""
