@@ -16,13 +16,7 @@ MODEL_TENDON = [{"effective_friction": TRUE_K, "tension_noise": 0.01}]
 
 
 class Model:
-    """`studies.rigs.model` as a process.
-
-    Attributes
-    ----------
-    buses : dict
-        `motors` and perhaps `cells`, of a config.
-    """
+    """`studies.rigs.model` as a process."""
 
     def __init__(self, driver: str, motors: int, plant: str, realtime: bool = True) -> None:
         words = [driver, str(motors), plant, *(["ordinary"] if not realtime else [])]
@@ -32,7 +26,7 @@ class Model:
             stdout=subprocess.PIPE,
             text=True,
         )
-        self.buses = json.loads(self._process.stdout.readline())
+        self.buses = json.loads(self._process.stdout.readline())  # motors, perhaps cells: a config
 
     def order(self, word: str = "state") -> dict:
         """Give an order; return the state of motors and plant."""

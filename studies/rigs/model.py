@@ -137,16 +137,10 @@ class Cia402(BusModel):
 
 
 class Off:
-    """Which motors follow their targets, when the last one stopped to, and when one last moved.
-
-    Attributes
-    ----------
-    at_s, moved_s : float
-        On the monotonic clock.
-    """
+    """Which motors follow their targets, when the last one stopped to, and when one last moved."""
 
     def __init__(self, model, plant, look_s: float) -> None:
-        self.at_s = self.moved_s = 0.0
+        self.at_s = self.moved_s = 0.0  # on the monotonic clock
         self._model, self._plant, self._look_s = model, plant, look_s
         self._position = np.array(plant.position, float)
         self._moved, self._lock = False, threading.Lock()

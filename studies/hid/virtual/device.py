@@ -16,18 +16,7 @@ class Push(NamedTuple):
 class VirtualDevice:
     """One HID device as its firmware sees it. All bytes begin with the report id.
 
-    Attributes
-    ----------
-    interval : float
-        Time between two input reports [s]; call `inputs` that often.
-    axes : list of float
-        Where the hand has moved the device, shares of full scale; set it as you like.
-    buttons : int
-        Bit k is button k + 1; set it as you like.
-    pushes : list of Push
-        What it did to the hand, an entry for each change, from the moment of power on.
-    refused : list of bytes
-        Reports that this firmware does not know, or that have the wrong length.
+    Set `axes` and `buttons` as you like.
     """
 
     name: str
@@ -35,14 +24,14 @@ class VirtualDevice:
     vendor: int
     product: int
     serial: str
-    interval = 0.001
+    interval = 0.001  # [s] between two input reports; call `inputs` that often
 
     def __init__(self, descriptor: bytes, axes: int, forces: int) -> None:
         self.descriptor = descriptor
-        self.axes = [0.0] * axes
-        self.buttons = 0
-        self.pushes = [Push(-math.inf, (0.0,) * forces)]
-        self.refused: list[bytes] = []
+        self.axes = [0.0] * axes  # where the hand has moved the device, shares of full scale
+        self.buttons = 0  # bit k is button k + 1
+        self.pushes = [Push(-math.inf, (0.0,) * forces)]  # what it did to the hand, each change
+        self.refused: list[bytes] = []  # reports that are unknown, or of the wrong length
 
     def inputs(self, now: float) -> list[bytes]:
         """Return the input reports of this moment; also moves the device's own clock on."""

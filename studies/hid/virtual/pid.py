@@ -42,17 +42,7 @@ class Effect:
 
 
 class PidFirmware(VirtualDevice):
-    """A force-feedback joystick; see `VirtualDevice`.
-
-    Attributes
-    ----------
-    active : bool
-        Whether the motors are on.
-    safety, powered : bool
-        Whether the safety switch is closed, and the motors have power; set them as you like.
-    effects : dict
-        The pool, by block number.
-    """
+    """A force-feedback joystick; see `VirtualDevice`. Set `safety` and `powered` as you like."""
 
     outputs: ClassVar[dict[int, tuple[str, int]]]  # id -> method, length of the report
     creation: int  # id of Create New Effect
@@ -65,10 +55,10 @@ class PidFirmware(VirtualDevice):
     def __init__(self, descriptor: bytes, axes: int = 2) -> None:
         super().__init__(descriptor, axes, forces=axes)
         self.now = -math.inf
-        self.active = False
-        self.safety = self.powered = True
+        self.active = False  # whether the motors are on
+        self.safety = self.powered = True  # the safety switch is closed, the motors have power
         self.gain = 1.0
-        self.effects: dict[int, Effect] = {}
+        self.effects: dict[int, Effect] = {}  # the pool, by block number
         self.loaded = (0, 0)  # block and status of the last creation
         self._told = b""
 

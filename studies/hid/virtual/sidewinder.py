@@ -16,13 +16,7 @@ CENTRING = 0.2  # share of full force at the end of the way
 
 
 class SideWinder(Arduino):
-    """Two axes.
-
-    Attributes
-    ----------
-    centres : bool
-        Whether its own spring acts.
-    """
+    """Two axes; `centres` is whether its own spring acts."""
 
     name = "Microsoft SideWinder Force Feedback Pro (adapter)"
     vendor, product, serial = 0x03EB, 0x204E, "virtual-sidewinder"

@@ -77,15 +77,6 @@ class Board(BusThread):
     """A board with its motors' plant; `serve` runs until `ended` is set.
 
     Its watchdog waits `patience` times as long as told: a busy machine holds up the driver, too.
-
-    Attributes
-    ----------
-    flip : int
-        Frames to damage by one bit, of those that it sends.
-    silent : bool
-        Whether it sends nothing.
-    stopped_s : float
-        When its watchdog has stopped the motors last, on the monotonic clock.
     """
 
     RATE_HZ = 1000.0
@@ -103,8 +94,9 @@ class Board(BusThread):
         self.port = PseudoPort(link)
         self.firmware = Firmware(library, motors, cells)
         self.plant = plant or Springs(max(motors, cells))
-        self.flip, self.silent, self.fault = 0, False, False
-        self.flags, self.stopped_s = 0, 0.0
+        self.flip = 0  # frames to damage by one bit, of those that it sends
+        self.silent, self.fault, self.flags = False, False, 0
+        self.stopped_s = 0.0  # when its watchdog has stopped the motors last, monotonic clock
         self._start_s = time.monotonic()
 
     def serve(self) -> None:

@@ -27,15 +27,10 @@ class PseudoPort:
 
     Closing it is what unplugging an adapter is to the driver. With a `link`, that is its name, and
     stays the same when it is plugged in again.
-
-    Attributes
-    ----------
-    wanted : bool
-        Whether it is to be plugged in; obeyed at the next `read`.
     """
 
     def __init__(self, link: Path | None = None) -> None:
-        self.wanted = True
+        self.wanted = True  # to be plugged in; obeyed at the next `read`
         self._link = link
         self._plug()
 

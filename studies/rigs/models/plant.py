@@ -10,19 +10,13 @@ ZERO = 2048.0  # [counts] where the displacement is 0
 
 
 class Springs:
-    """One spring at each motor, which follows its target in 5 ms; slack below zero.
-
-    Attributes
-    ----------
-    position : array, shape (motors,)
-        [counts]
-    """
+    """One spring at each motor, which follows its target in 5 ms; slack below zero."""
 
     STIFFNESS = 2000.0  # [N/m]
     LAG_S = 0.005
 
     def __init__(self, motors: int) -> None:
-        self.position = np.full(motors, ZERO)
+        self.position = np.full(motors, ZERO)  # [counts]
         self._time_s = 0.0
         self._random = np.random.default_rng(1)
 

@@ -119,15 +119,6 @@ class Servos(BusThread):
     """Servos with their motors' plant; `serve` runs until `ended` is set.
 
     Their watchdogs wait `patience` times as long as told: a busy machine holds up the driver, too.
-
-    Attributes
-    ----------
-    lose, damage : int
-        Answers to swallow, or to send with a wrong byte.
-    stopped_s : float
-        When a watchdog has triggered last, on the monotonic clock.
-    kinds : set of int
-        Instructions that were received.
     """
 
     def __init__(self, numbers=(1,), plant=None, patience: float = 10.0, link=None) -> None:
@@ -135,10 +126,9 @@ class Servos(BusThread):
         self.port = PseudoPort(link)
         self.servos = {number: Servo(number) for number in numbers}
         self.plant = plant or Springs(len(self.servos))
-        self.lose = 0
-        self.damage = 0
-        self.stopped_s = 0.0
-        self.kinds = set()
+        self.lose = self.damage = 0  # answers to swallow, or to send with a wrong byte
+        self.stopped_s = 0.0  # when a watchdog has triggered last, on the monotonic clock
+        self.kinds = set()  # instructions that were received
         self._received = b""
         self._answers_from = 0  # status return level from which the instruction is answered
         self._start_s = time.monotonic()
