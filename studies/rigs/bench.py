@@ -38,12 +38,11 @@ class Model:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._process.stdin.close()  # then it ends
         try:
-            self._process.wait(5.0)
+            self._process.communicate(timeout=5.0)  # closes its input: then it ends
         except subprocess.TimeoutExpired:
             self._process.kill()
-            self._process.wait()
+            self._process.communicate()
 
 
 def build_rig_tree(buses: dict, motors: int, paired: bool) -> dict:
