@@ -47,17 +47,9 @@ class MasterConfig:
         require_periods("master.delay_max", self.delay_max, rate_hz)
 
     def count_ticks_per_command(self, rate_hz: float) -> int:
-        """Return the number of device ticks per command on the link.
+        """Return the number of device ticks per command on the link, which has `rate_hz` [Hz].
 
-        Parameters
-        ----------
-        rate_hz : float
-            Rate of the link [Hz].
-
-        Raises
-        ------
-        UsageError
-            `device_rate_hz` is not a multiple of it.
+        `UsageError` if `device_rate_hz` is not a multiple of that.
         """
         if self.device_rate_hz is None:
             return 1

@@ -46,16 +46,10 @@ def add_hand_work(
 ) -> None:
     """Add the work of the hand and of the rendered force since the last tick to the ledger.
 
-    Parameters
-    ----------
-    rendered : RenderMemory
-        As the last tick left it.
-    force_scale, position_scale : float
-        Force on the hand per force at the tip; tip travel per hand travel.
-    written : array of shape (8,)
-        Forces on the hand [N] rendered since the last tick; the first `axes` are in use.
-    coupled : bool
-        Whether forces are rendered and finite.
+    `rendered` is as the last tick left it; `written`, shape (8,), are the forces on the hand [N]
+    rendered since, of which the first `axes` are in use. `force_scale` is force on the hand per
+    force at the tip, `position_scale` tip travel per hand travel. Forces that are rendered and
+    finite are `coupled`.
     """
     # a non-finite position would corrupt the ledger's sums
     is_seen = hand.present and is_all_finite(hand.position, hand.axes)
@@ -107,13 +101,8 @@ def render_force(
 ) -> None:
     """Write the forces [N] of the coupling on the hand to the first `axes` of `out`.
 
-    Parameters
-    ----------
-    requested : array of shape (8,)
-        Forces on the hand [N] wanted now.
-    coupled : bool
-        Whether forces are rendered and `add_hand_work` was called as coupled in this tick; if not,
-        `out` is `requested`.
+    `requested`, shape (8,), are the forces on the hand [N] wanted now. They are what is written
+    unless `coupled`: forces are rendered and `add_hand_work` was called as coupled in this tick.
     """
     for k in range(axes):
         out[k] = requested[k]

@@ -14,19 +14,10 @@ from teleop.messages.messages import MAX_JOINTS
 
 
 class HandEnd:
-    """Calls a `MasterCoupling`, and checks what it returns.
+    """Calls a `MasterCoupling`, and checks what it returns; `UsageError` if it cannot be opened.
 
-    Parameters
-    ----------
-    config : CouplingExtension
-        Of both sides.
-    memories, settings, states : Records
-        `MasterMemory`, `MasterSettings` and the newest `SlaveState`, shape (1,).
-
-    Raises
-    ------
-    UsageError
-        It cannot be opened.
+    `memories`, `settings` and `states`, shape (1,), are `MasterMemory`, `MasterSettings` and the
+    newest `SlaveState`.
     """
 
     def __init__(

@@ -37,12 +37,7 @@ _ABSENT_HAND = (False, 0, _ZEROS, _ZEROS, False, False, False)
 def fill_hand_input(records: StructArray, hand: HandState | None) -> None:
     """Set the first of an array of `HandInput` to what a device returned, in 2 us.
 
-    Parameters
-    ----------
-    records : Records
-        For example `inputs["hand"]` of an array of records with such a field.
-    hand : HandState or None
-        None if the device cannot be read.
+    `hand` is None if the device cannot be read.
     """
     if hand is None:
         records[0] = _ABSENT_HAND

@@ -37,33 +37,19 @@ class VelocityMap(Struct):
 
 
 class HandMapper(Protocol):
-    """What maps the hand of a tick, from a config.
+    """What maps the hand of a tick, from a config."""
 
-    Attributes
-    ----------
-    joints : int
-        How many axes y has.
-    mapped_hands, maps : Records
-        The mapped hand, a `HandInput`, and the `VelocityMap` of the tick; shape (1,).
-    """
-
-    joints: int
-    mapped_hands: StructArray
-    maps: StructArray
+    joints: int  # how many axes y has
+    mapped_hands: StructArray  # the mapped hand, a `HandInput`, shape (1,)
+    maps: StructArray  # the `VelocityMap` of the tick, shape (1,)
 
     def step(
         self, hands: StructArray, memories: StructArray, position_scale: float, dt: float
     ) -> None:
-        """Map the hand of this tick.
+        """Map the hand of this tick, `dt` [s] after the last.
 
-        Parameters
-        ----------
-        hands, memories : Records
-            `HandInput` and, after the last tick, `MasterMemory`; shape (1,).
-        position_scale : float
-            Tip travel per hand travel.
-        dt : float
-            Since the last tick [s].
+        `hands` and `memories`, shape (1,), are `HandInput` and, after the last tick,
+        `MasterMemory`; `position_scale` is tip travel per hand travel.
         """
 
 
@@ -239,14 +225,7 @@ def pass_dead_band(x: float, width: float) -> tuple[float, float]:
 
 
 class AxisMapper:
-    """A `HandMapper` by axes.
-
-    Parameters
-    ----------
-    config : AxisMapConfig
-    torque_lever : float
-        [m] at which a torque in a hand counts as a force.
-    """
+    """A `HandMapper` by axes; a torque in a hand counts as the force at `torque_lever` [m]."""
 
     def __init__(self, config: AxisMapConfig, torque_lever: float) -> None:
         self.joints = len(config.joints)

@@ -48,10 +48,7 @@ def init_settings(config: MasterConfig) -> LiveSettings:
 def change_setting(live: LiveSettings, key: str, value: str) -> tuple[LiveSettings, str]:
     """Return the settings with one of `KEYS` set to `value`, and the value as text.
 
-    Raises
-    ------
-    UsageError
-        The key cannot be changed while the master runs, or not to this value.
+    `UsageError` if the key cannot be changed while the master runs, or not to this value.
     """
     name = key.removeprefix("master.")
     if name not in KEYS:

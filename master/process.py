@@ -74,10 +74,7 @@ _CLOCK_SET, _ENGAGED = int(Reason.CLOCK_SET), int(State.ENGAGED)
 class MasterProcess(LoopProcess):
     """Runs the two phases of `master.loop` on one device and one link, and counts what happened.
 
-    Parameters
-    ----------
-    commands_every : int
-        Ticks of the device for one command on the link.
+    The device has `commands_every` ticks for one command on the link.
     """
 
     role, verdict = Role.MASTER, GateFlags
@@ -507,10 +504,7 @@ def main(args: argparse.Namespace) -> int:
 def build_mapper(config: MasterConfig, arms: Sequence[ArmConfig], axes: int) -> HandMapper | None:
     """Return what maps a device of so many axes to the joints, None if axis k moves joint k.
 
-    Raises
-    ------
-    UsageError
-        The device, the mapping and the arms do not fit.
+    `UsageError` if the device, the mapping and the arms do not fit.
     """
     mapping = config.mapping
     if mapping is None:

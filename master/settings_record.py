@@ -37,10 +37,7 @@ class MasterSettings(Struct):
 class SettingsRecord:
     """The record of a config that may change: `update` costs nothing while it is the same.
 
-    Attributes
-    ----------
-    records : Records
-        An array of one `MasterSettings`, changed in place.
+    `records` is an array of one `MasterSettings`, changed in place.
     """
 
     def __init__(self, config: MasterConfig, bilateral: Bilateral) -> None:

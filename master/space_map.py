@@ -123,16 +123,7 @@ def map_space(
 ) -> None:
     """Fill `mapped_hands` and `maps`, shape (1,), from the hand and the commanded travels.
 
-    Parameters
-    ----------
-    all_hands : Records
-        `SpaceHand`, one for each arm, changed in place.
-    memories, hands : Records
-        `MasterMemory` after the last tick and `HandInput`, shape (1,).
-    position_scale : float
-        Tip travel per hand travel.
-    dt : float
-        Since the last tick [s].
+    `all_hands`, a `SpaceHand` for each arm, are changed in place; for the others see `HandMapper`.
     """
     memory, hand, mapped_hand, velocity_map = memories[0], hands[0], mapped_hands[0], maps[0]
     dt = max(dt, DT_MIN)
@@ -281,15 +272,9 @@ def _fill_map(
 class SpaceMapper:
     """A `HandMapper` by kinematics.
 
-    Parameters
-    ----------
-    config : SpaceMapConfig
-    arms : sequence of Arm
-        One for each hand of the config.
-    radii : sequence of arrays
-        Pulley radii [m] of the joints of each arm, with a gripper behind them if there is one.
-    torque_lever : float
-        [m] at which a torque in a hand counts as a force.
+    Each hand of the config has one of `arms`, with the pulley radii [m] of its joints, and of a
+    gripper behind them if there is one. A torque in a hand counts as the force at `torque_lever`
+    [m].
     """
 
     def __init__(

@@ -43,19 +43,10 @@ def _compile_parts(slave: SlaveRecords) -> None:
 
 
 class SlaveExtensions:
-    """The extensions that a config names.
+    """The extensions that a config names, those `opened`; `UsageError` if one cannot be.
 
-    Attributes
-    ----------
-    estimates : array, shape (samples, 4, MAX_TENDONS), or None
-        Of the own estimator, for `slave.samples.estimate`.
-    opened : list of CheckedExtension
-        All of them.
-
-    Raises
-    ------
-    UsageError
-        One cannot be opened.
+    `estimates`, shape (samples, 4, MAX_TENDONS), are those of the own estimator, if there is one,
+    for `slave.samples.estimate`.
     """
 
     def __init__(

@@ -103,17 +103,7 @@ def compute_reaches(
     """Write the reach of each tendon of a rig.
 
     A joint of one tendon returns by its spring; otherwise other tendons must pull it back.
-
-    Parameters
-    ----------
-    config : GateConfig
-        Limits of travel and force of the joints.
-    layout : RigLayout
-        Tendons and joints of the rig.
-    joint_estimates : JointEstimates
-        Position [m] of each joint and force on it [N]; NaN if unknown.
-    out_reach : Reaches
-        One for each tendon, overwritten.
+    Positions [m] of joints and forces on them [N] are NaN if unknown.
     """
     for i in range(layout.tendons):
         up, down, f, own = math.inf, math.inf, 0.0, 0.0
@@ -159,6 +149,8 @@ def step(
 ) -> int:
     """Limit `requested` to safe positions; return the bits of `GateFlags`.
 
+    `ValueError` if an array is shorter than `tendons`.
+
     Parameters
     ----------
     tendons : int
@@ -181,11 +173,6 @@ def step(
         Whether holding motors may pay out a tendon over its tension limit.
     out_passed : array, shape (tendons,)
         Motor positions [m] to be written, and `last` of the next tick; it may be the array `last`.
-
-    Raises
-    ------
-    ValueError
-        If an array is shorter than `tendons`.
     """
     shortest = min(len(last), len(requested), len(tension), len(out_passed))
     if tendons > shortest or (has_reach and tendons > len(reach)):

@@ -42,21 +42,10 @@ def increase_age(memory: InitialPosition, dt: float) -> None:
 def process_sample(
     memory: InitialPosition, tendons: int, displacement: Array, has_displacement: bool
 ) -> None:
-    """Process a sample.
+    """Process the measured motor positions [m] of a sample, shape (tendons,) or longer.
 
-    A reading is valid if every encoder gives a finite number; until the next valid one, its age
-    grows.
-
-    Parameters
-    ----------
-    memory : InitialPosition
-        Changed in place.
-    tendons : int
-        How many tendons the rig has.
-    displacement : array, shape (tendons,) or longer
-        Measured motor positions [m].
-    has_displacement : bool
-        Whether the rig has encoders at all.
+    A reading is valid if every encoder, where the rig `has_displacement`, gives a finite number;
+    until the next valid one, its age grows.
     """
     if not has_displacement:
         return

@@ -28,10 +28,7 @@ def is_live_key(key: str) -> bool:
 def change_setting(rig: Rig, key: str, value: str) -> str:
     """Let a setting of a `slave.rig.Rig` go to a value; return both as text.
 
-    Raises
-    ------
-    UsageError
-        The key cannot be changed while the slave runs, or not to this value.
+    `UsageError` if the key cannot be changed while the slave runs, or not to this value.
     """
     match = _KEY.fullmatch(key)
     if match is None or match["name"] not in NAMES:

@@ -61,10 +61,7 @@ def apply_model_files(
 ) -> tuple[TendonConfig | None, ...]:
     """Return the configs of the tendons, None if unknown, with model files applied.
 
-    Raises
-    ------
-    UsageError
-        If there is no such tendon, or a file is invalid.
+    `UsageError` if there is no such tendon, or a file is invalid.
     """
     names = map_tendon_names(joints, len(tendons))
     out = [
@@ -115,11 +112,7 @@ def set_sheath_length(tendon: TendonConfig, length: float) -> TendonConfig:
 def set_noise_from_data(tendon: TendonConfig, tension: Array, travel: Array | None) -> TendonConfig:
     """Return a tendon of a model file, its noise taken from data where none is configured.
 
-    Parameters
-    ----------
-    tendon : TendonConfig
-    tension, travel : ndarray
-        At the housing [N] and [m], shape (n,); None where no travel was measured.
+    `tension` [N] and `travel` [m], if measured, are at the housing, shape (n,).
     """
     has_noise = tendon.tension_noise > 0.0 or tendon.displacement_noise > 0.0
     if tendon.model_file is None or has_noise or len(tension) < SAMPLES_MIN:

@@ -21,15 +21,7 @@ Array = NDArray[np.float64]
 def fill_tendon_state(
     layouts: StructArray, memories: StructArray, rows: StructArray, index: int, states: StructArray
 ) -> None:
-    """Fill in a `TendonState` from a row of a tick, except for its head.
-
-    Parameters
-    ----------
-    layouts, memories, rows : Records
-        `RigLayout`, `SlaveMemory` and `EstimatedSample` of the tick.
-    states : Records
-        The message, shape (1,).
-    """
+    """Fill in a `TendonState`, shape (1,), from a row of a tick, except for its head."""
     memory, row, state = memories[0], rows[index], states[0]
     count = layouts[0].tendons
     state.tendons = count
@@ -62,18 +54,9 @@ def fill_tension_profile(
     points: Array,
     profiles: StructArray,
 ) -> None:
-    """Fill in a `TensionProfile` of one tendon, except for its head.
+    """Fill in a `TensionProfile`, shape (1,), of one tendon, from 0, except for its head.
 
-    Parameters
-    ----------
-    prepared, estimators, memories : Records
-        Of a `Slave`.
-    tendon : int
-        Which one, from 0.
-    points : array of shape (PROFILE_POINTS,)
-        Arc lengths [m], evenly spread over its sheath.
-    profiles : Records
-        The message, shape (1,).
+    `points` [m], shape (PROFILE_POINTS,), are arc lengths, evenly spread over its sheath.
     """
     profile: Any = profiles[0]
     profile.tendon = tendon

@@ -39,14 +39,8 @@ PROGRESS_S = 2.0  # between two progress lines of a calibration
 class Telemetry:
     """Publishes low-rate messages when due, and events when they occur.
 
-    Attributes
-    ----------
-    detail : str
-        Detail of the reason of the present session state; may be empty.
-    stop_text : str
-        Sender of the last emergency stop.
-    shape_changes : list of str
-        What was said about the shape of sheaths.
+    `detail` is that of the reason of the present session state, and may be empty; `stop_text` the
+    sender of the last emergency stop; `shape_changes` what was said about the shape of sheaths.
     """
 
     def __init__(self, link: Link, model: RigModel, slave: SlaveRecords) -> None:

@@ -66,16 +66,8 @@ class CombinedConfig:
 class CombinedDevice:
     """A `master.device.Device` made of several.
 
-    Parameters
-    ----------
-    config : CombinedConfig
-    open_single : callable
-        Opens one device. If it fails, those opened before are closed.
-
-    Raises
-    ------
-    DeviceFault
-        One of them cannot be opened, or has no axes or more than there is room for.
+    `open_single` opens one. If it fails, those opened before are closed. `DeviceFault` if one of
+    them cannot be opened, or has no axes or more than there is room for.
     """
 
     def __init__(
@@ -109,13 +101,8 @@ class CombinedDevice:
         Engage is the logical AND. At the start, and again after a device was lost, it counts as
         held until every switch has been open, so no device is engaged without being released first.
 
-        Raises
-        ------
-        DeviceLost
-            Only if all failures are recoverable. The other devices are still read, so that each of
-            them can come back.
-        DeviceFault
-            One of them has failed.
+        `DeviceFault` if one of them has failed, `DeviceLost` only if all failures are recoverable.
+        The other devices are still read, so that each of them can come back.
         """
         hands: list[HandState] = []
         faults: list[DeviceFault] = []

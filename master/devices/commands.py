@@ -53,14 +53,8 @@ _STEP_MAX_S = 0.01  # [s] of a velocity integrated over one tick
 class CommandMotion:
     """State of the motion; see the module's text.
 
-    Parameters
-    ----------
-    axes : int
-        Number of axes.
-    is_velocity : bool
-        Whether the values are velocities [m/s], not positions [m].
-    span_max_s : float
-        Longest time [s] that a motion to the next position takes.
+    Values are positions [m], or velocities [m/s] with `is_velocity`. `span_max_s` [s] is the
+    longest time that a motion to the next position takes.
     """
 
     def __init__(self, axes: int, is_velocity: bool = False, span_max_s: float = math.inf) -> None:
@@ -72,15 +66,9 @@ class CommandMotion:
         self._begin_s, self._span_s, self._time_s = 0.0, 0.0, 0.0
 
     def step(self, record: CommandRecord, is_fresh: bool, time_s: float) -> HandState:
-        """Return the hand at `time_s` [s], by the newest record of the commands.
+        """Return the hand at `time_s` [s], never decreasing, by the newest record of the commands.
 
-        Parameters
-        ----------
-        record : CommandRecord
-        is_fresh : bool
-            Whether its command came within the timeout.
-        time_s : float
-            [s] never decreasing.
+        `is_fresh` tells whether its command came within the timeout.
         """
         previous, self._record = self._record, record
         dt, self._time_s = max(0.0, time_s - self._time_s), time_s

@@ -22,19 +22,8 @@ _BOOLS = {bool, np.bool_}  # a text is true whatever it says, and NaN is too
 class CheckedDevice:
     """A `master.device.Device` of another package whose mistakes are a fault that names them.
 
-    Values that are not finite are a `DeviceLost`: the loop goes on reading, without force.
-
-    Parameters
-    ----------
-    device : Device
-        Open.
-    place : str
-        Name of the device in messages.
-
-    Raises
-    ------
-    DeviceFault
-        It lacks an attribute or a method.
+    Values that are not finite are a `DeviceLost`: the loop goes on reading, without force. The
+    device is open; messages call it `place`. `DeviceFault` if it lacks an attribute or a method.
     """
 
     def __init__(self, device: Device, place: str) -> None:

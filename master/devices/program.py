@@ -52,10 +52,7 @@ class ProgramConfig(RangedConfig):
 class ProgramDevice:
     """The master's end: a `master.device.Device`; see the module's text.
 
-    Raises
-    ------
-    DeviceFault
-        This process was not started by `teleop.Session`.
+    `DeviceFault` if this process was not started by `teleop.Session`.
     """
 
     def __init__(self, config: ProgramConfig) -> None:

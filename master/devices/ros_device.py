@@ -80,14 +80,7 @@ _READ_BYTES = 64 * SIZE
 class RosDevice:
     """A `master.device.Device`; see the module's text.
 
-    Parameters
-    ----------
-    config : RosDeviceConfig
-
-    Raises
-    ------
-    DeviceFault
-        `rosbags` is not installed, or the receiver process cannot be started.
+    `DeviceFault` if `rosbags` is not installed, or the receiver process cannot be started.
     """
 
     def __init__(self, config: RosDeviceConfig) -> None:
@@ -117,12 +110,8 @@ class RosDevice:
     def read(self, time_s: float) -> HandState:
         """Return the motion commanded at `time_s`.
 
-        Raises
-        ------
-        DeviceLost
-            A fault of the commands, or the receiver is stopped.
-        DeviceFault
-            The receiver has ended.
+        `DeviceLost` by a fault of the commands, or if the receiver is stopped; `DeviceFault` if it
+        has ended.
         """
         self._take()
         record, now_ns = self._record, time.monotonic_ns()

@@ -187,11 +187,8 @@ def advance_hand(
 class VirtualDevice:
     """A `master.device.Device` moved by a scripted hand; see the module's text.
 
-    Attributes
-    ----------
-    applied : tuple of float
-        Force [N] on the hand at the last read: the last one written, or zero once the watchdog has
-        let go of it.
+    `applied` [N] is the force on the hand at the last read: the last one written, or zero once the
+    watchdog has let go of it.
     """
 
     def __init__(self, config: VirtualConfig) -> None:

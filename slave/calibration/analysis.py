@@ -48,16 +48,9 @@ def combine_with_drags(
 
     If drags and loops contradict each other, the loops are used and the remark says so.
 
-    Parameters
-    ----------
-    pulled : sequence of PulledTendon
-        Tendon a, tendon b.
-    calibrations : sequence of Calibration
-        From their loops.
-    gain_error : float
-        Relative standard uncertainty of each load cell's gain.
-    total : MeasuredValue, optional
-        K_a + K_b of the sheaths, where the tendons slide on guides besides (`guide_friction`).
+    `pulled` are tendon a and b, `calibrations` from their loops, `gain_error` is the relative
+    standard uncertainty of each load cell's gain, `total` K_a + K_b of the sheaths, where the
+    tendons slide on guides besides (`guide_friction`).
     """
     a, b = calibrations
     try:
@@ -132,19 +125,9 @@ def analyse_procedure(
 ) -> tuple[JointResult, ...]:
     """Evaluate the record of a procedure; return one result per calibrated joint.
 
-    Parameters
-    ----------
-    record : ProcedureData
-        From `slave.calibration.run.run_procedure`.
-    ranges : sequence of float or None
-        Travel of each joint between its stops [m] in an earlier calibration.
-    sums : mapping
-        K_a + K_b of the sheaths of joints whose tendons pass others.
-
-    Raises
-    ------
-    CalibrationRefused
-        If the measurement is not that of tendons in sheaths pulled against end stops.
+    `ranges` [m] are the travel of each joint between its stops in an earlier calibration, `sums`
+    K_a + K_b of the sheaths of joints whose tendons pass others. `CalibrationRefused` if the
+    measurement is not that of tendons in sheaths pulled against end stops.
     """
     earlier_ranges = [*ranges, *[None] * len(record.joints)]
     return tuple(
@@ -173,10 +156,8 @@ def evaluate_tendons(
 ) -> tuple[tuple[TendonCalibration, ...], tuple[TendonConfig, ...]]:
     """Return the calibration and the estimator parameters of each tendon of a joint.
 
-    Raises
-    ------
-    CalibrationRefused
-        If a measurement is not that of a tendon in a sheath pulled against an end stop.
+    `CalibrationRefused` if a measurement is not that of a tendon in a sheath pulled against an end
+    stop.
     """
     sheaths = [get_known_sheath(config, p.tendon) for p in pulled]
     calibrations = [

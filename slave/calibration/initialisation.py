@@ -51,6 +51,9 @@ def initialise(
 ) -> InitialiseResult:
     """Calibrate a rig; the joints end in mid-range, their tendons just taut.
 
+    `UsageError` if the config forbids it, `slave.calibration.run.CalibrationRefused` if the
+    procedure was aborted.
+
     Parameters
     ----------
     rig : Rig
@@ -69,12 +72,6 @@ def initialise(
         Returns a context for the analysis, which takes seconds and asks nobody whether to go on.
     arms : sequence of ArmConfig
         Of the session; friction at the joints that tendons pass is identified, too.
-
-    Raises
-    ------
-    TeleopError
-        `UsageError` if the config forbids it, `slave.calibration.run.CalibrationRefused` if the
-        procedure was aborted.
     """
     chosen = tuple(joints) or tuple(range(len(rig.joints)))
     in_part = len(chosen) < len(rig.joints)

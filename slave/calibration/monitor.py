@@ -209,16 +209,8 @@ def step_rig(
 ) -> Advice:
     """Process one sample of all tendons of a rig; return the advice on its calibration.
 
-    Parameters
-    ----------
-    constants : array of MonitorConstants
-        From `build_monitor_constants`, of the estimators' models.
-    monitors : array of TendonMonitor
-        `TendonMonitor.array(n)` to begin with; changed in place.
-    tendons : array of EstimatedTendon
-        The sample; the corrected readings are used.
-    dt : float
-        Time since the last one [s].
+    `constants` are of the estimators' models, `monitors` `TendonMonitor.array(n)` to begin with,
+    changed in place. Of the sample `dt` [s] after the last the corrected readings are used.
     """
     for g in range(layout.groups):
         group = layout.group[g]
@@ -246,22 +238,10 @@ def step(
     antagonist_tension: float,
     dt: float,
 ) -> None:
-    """Process one sample of one tendon.
+    """Process one sample of one tendon, `dt` [s] after the last; `monitor` is changed in place.
 
-    Parameters
-    ----------
-    constants : MonitorConstants
-        From `build_monitor_constants`, of the model behind `estimate`.
-    monitor : TendonMonitor
-        Changed in place.
-    estimate : TendonEstimate
-        Of this sample.
-    tension, travel : float
-        T_in [N] and q_p [m] of this sample.
-    antagonist_tension : float
-        T_out [N] of the antagonist; 0 if it is a spring.
-    dt : float
-        Time since the last one [s].
+    `constants` are of the model behind `estimate`, `tension` [N] and `travel` [m] T_in and q_p of
+    the sample, `antagonist_tension` [N] T_out of the antagonist; 0 if it is a spring.
     """
     if constants.blind or estimate.status & _UNUSABLE != 0 or not math.isfinite(travel):
         _await_pull(monitor)

@@ -46,17 +46,9 @@ def plan_stages(
 ) -> list[Stage]:
     """Return the stages in which the `chosen` joints are calibrated.
 
-    Parameters
-    ----------
-    ratio : array, shape (n, n)
-        Travel of the tendons of joint k over that of joint j.
-    joints : sequence
-        Tendons of each joint.
-
-    Raises
-    ------
-    UsageError
-        If the routing does not allow it, or a passed joint is not chosen.
+    `ratio`, shape (n, n), is the travel of the tendons of joint k over that of joint j; `joints`
+    are the tendons of each. `UsageError` if the routing does not allow it, or a passed joint is not
+    chosen.
     """
     if not (ratio - np.diag(np.diag(ratio))).any():
         return [Stage(tuple(chosen))] if together else [Stage((j,)) for j in chosen]

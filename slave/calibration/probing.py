@@ -164,16 +164,10 @@ def step(
     The controller does not rest with the hand: it follows noise, and hunts if K is wrong. So after
     a pause all motors hold, and after another one, in which no force has changed, probes begin.
 
-    Parameters
-    ----------
-    requested : array, shape (MAX_JOINTS,)
-        Travel of the joints that the hand asks for [m]; any motion ends a probe at once.
-    motor : array, shape (MAX_TENDONS,)
-        Last gated motor positions [m].
-    may_probe : bool
-        Whether the session lets motors move that are at rest.
-    out_target : array, shape (MAX_TENDONS,)
-        Motor targets [m], those of the controller on entry.
+    `requested` [m], shape (MAX_JOINTS,), is the travel of the joints that the hand asks for; any
+    motion ends a probe at once. `motor` [m], shape (MAX_TENDONS,), are the last gated positions,
+    `out_target` [m] likewise the targets, those of the controller on entry. `may_probe` tells
+    whether the session lets motors move that are at rest.
     """
     if not may_probe or not _is_at_rest(layout, probe, tendons, requested):
         _rest_from_now(layout, probe, requested)

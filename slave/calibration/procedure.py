@@ -41,18 +41,9 @@ def step(
     sample: JointReadings,
     dt: float,
 ) -> tuple[Tendons, ProcedureState]:
-    """Return the motor targets of the joint [m] and the new state.
+    """Return the motor targets of the joint [m] and the new state, `dt` [s] after the last tick.
 
-    Parameters
-    ----------
-    joint : Joint
-        Its number and the largest compliance of its sheaths.
-    memory : ProcedureState
-        `ProcedureState()` to begin with.
-    sample : JointReadings
-        Newest readings, all finite.
-    dt : float
-        Time since the last tick [s].
+    `memory` is `ProcedureState()` to begin with; the readings are the newest, all finite.
     """
     memory = _update_readings(config, memory, sample, dt)
     if memory.phase not in _END_PHASES:

@@ -92,6 +92,9 @@ def run_procedure(
 
     A `slave.rig.WatchedRig` is told at the end that a pause follows: the analysis takes seconds.
 
+    `CalibrationRefused` if the procedure was aborted, the tensions are then low; `TeleopError` if
+    the rig failed.
+
     Parameters
     ----------
     rig : Rig
@@ -114,13 +117,6 @@ def run_procedure(
         `stopped` does.
     ratio : array, shape (joints, joints), optional
         Travel of the tendons of joint k over that of joint j, of joints that share tendons.
-
-    Raises
-    ------
-    CalibrationRefused
-        If the procedure was aborted; the tensions are low.
-    TeleopError
-        If the rig failed.
     """
     validate_limits(rig, limits)
     drive = _ProcedureRun(rig, limits, joints, together, ratio)

@@ -199,10 +199,7 @@ def calibrate_tendon(
 ) -> blocked_tip.Calibration:
     """Identify one tendon from its pulls and releases down to `low` [N].
 
-    Raises
-    ------
-    CalibrationRefused
-        If the data are not those of a tendon in a sheath against an end stop.
+    `CalibrationRefused` if the data are not those of a tendon in a sheath against an end stop.
     """
     zero = pulled.zero
     if zero is not None and abs(zero) > OFFSET_MAX:

@@ -105,10 +105,6 @@ def step(
 
     Parameters
     ----------
-    layout : RigLayout
-        Tendons and joints of the rig.
-    memory : ControllerState
-        State, changed in place.
     command : array, shape (MAX_JOINTS,)
         Commanded travel of each joint [m]; used relative to its value at engagement.
     velocity : array, shape (MAX_JOINTS,)

@@ -24,17 +24,8 @@ _BACKLOG = 4096  # processes that may ask for the holder; later ones are not tol
 def claim_bus(place: str, key: str) -> socket.socket:
     """Return the claim of a bus, held until it is closed.
 
-    Parameters
-    ----------
-    place : str
-        Name of the bus in messages.
-    key : str
-        The same in every process that uses this bus.
-
-    Raises
-    ------
-    DriverFault
-        Another process has it; the message names the process.
+    Messages call the bus `place`; `key` is the same in every process that uses it. `DriverFault` if
+    another process has it; the message names the process.
     """
     claim = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     if not sys.platform.startswith("linux"):

@@ -19,20 +19,8 @@ END_S = 2.0  # [s] in which it must be released
 class DriverProcess:
     """A driver in a process of its own.
 
-    Parameters
-    ----------
-    channels : Channels
-        What is used on it.
-
-    Raises
-    ------
-    DriverFault
-        The bus cannot be opened or set up, or something is missing on it.
-
-    Attributes
-    ----------
-    counts : dict
-        Of the driver, every second and when it ends.
+    Of its bus the `channels` are used; `DriverFault` if it cannot be opened or set up, or something
+    is missing on it. `counts` are of the driver, every second and when it ends.
     """
 
     def __init__(self, config: DriverConfig, channels: Channels) -> None:

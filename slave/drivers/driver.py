@@ -43,14 +43,9 @@ class BusDriver(Protocol):
 
     `start` and `run_cycle` raise `DriverFault`; then only `close` is called. A driver moves nothing
     before the first target, and enables its motors where they are.
-
-    Attributes
-    ----------
-    period_s : float
-        Time between two cycles [s]; 0 if `run_cycle` waits for the bus itself.
     """
 
-    period_s: float
+    period_s: float  # between two cycles; 0 if `run_cycle` waits for the bus itself
 
     def start(self) -> None:
         """Open the bus, set up and check what is on it, watchdogs of the motors included."""
@@ -58,12 +53,8 @@ class BusDriver(Protocol):
     def run_cycle(self, target: Counts | None) -> Sequence[Reading]:
         """Exchange values once; return the new readings, oldest first.
 
-        Waits for the bus, less than a third of the motors' watchdog.
-
-        Parameters
-        ----------
-        target : array, shape (motors,), or None
-            Newest targets; None before the first one and after `stop`: the motors stay disabled.
+        Waits for the bus, less than a third of the motors' watchdog. The newest targets, shape
+        (motors,), are None before the first one and after `stop`: the motors stay disabled.
         """
 
     def stop(self) -> None:

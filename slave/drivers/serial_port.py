@@ -17,10 +17,7 @@ from slave.drivers.ports import explain_busy, explain_denied
 def open_serial(path: str, baud: int, **settings: Any) -> tuple[serial.Serial, socket.socket]:
     """Return a serial port that no other program can open or lock, and its claim.
 
-    Raises
-    ------
-    DriverFault
-        It is in use, does not exist, or has no such baud rate.
+    `DriverFault` if it is in use, does not exist, or has no such baud rate.
     """
     claim = claim_port(path)
     try:

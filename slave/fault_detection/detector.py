@@ -50,16 +50,9 @@ def step(
     """Check one sample of the rig; return the fault found and its tendon.
 
     The tendon is counted over the whole rig from 0; `Reason.NONE` and -1 without a fault. Of
-    several faults the first is returned: load cells by tendon, then group by group.
-
-    Parameters
-    ----------
-    detector : FaultDetector
-        From `init_detector`, changed in place.
-    tendons : array of EstimatedTendon
-        The sample, as measured. Tendons that are not valid are skipped.
-    dt : float
-        Time since the sample before [s].
+    several faults the first is returned: load cells by tendon, then group by group. The sample, as
+    measured, is `dt` [s] after the one before; tendons that are not valid are skipped. `detector`
+    is changed in place.
     """
     dt = dt if dt > 0.0 else 0.0
     fault, tendon = Reason.NONE, -1

@@ -42,16 +42,8 @@ def record_motor_readings(
     """Process one sample: note the motor command at the first occurrence of each reading.
 
     A bit-identical reading keeps the noted command; without an encoder no reading counts as
-    identical. `check_motors` resets the notes until the first command.
-
-    Parameters
-    ----------
-    motors : MotorChecks
-        Changed in place.
-    tendons : array of EstimatedTendon
-        The sample, as measured.
-    sent : array
-        Last motor commands [m], shape (16,).
+    identical. `check_motors` resets the notes until the first command. `sent` [m], shape (16,), are
+    the last motor commands; `motors` are changed in place.
     """
     for i in range(layout.tendons):
         tendon, reading = tendons[i], motors.readings[i]
@@ -78,18 +70,9 @@ def check_motors(
     The motor is counted from 0; `Reason.NONE` and -1 if all follow. Sets `motors.repeated` if the
     samples are frozen.
 
-    Parameters
-    ----------
-    motors : MotorChecks
-        After `record_motor_readings` for each sample since the last tick; changed in place.
-    sent : array
-        Last motor commands [m], shape (16,).
-    has_sent : bool
-        Whether there was a command; if not, the state is reset.
-    had_samples : bool
-        Whether there was a sample since the last tick.
-    dt : float
-        Time since the last tick [s].
+    `motors` are changed in place, after `record_motor_readings` for each sample of the last `dt`
+    [s], if it `had_samples`. `sent` [m], shape (16,), are the last motor commands; unless it
+    `has_sent` one, the state is reset.
     """
     if not has_sent:
         motors.has_readings, motors.repeated, motors.late = False, False, 0.0

@@ -89,18 +89,10 @@ def check_slack(
     wound: float,
     dt: float,
 ) -> bool:
-    """Process one sample of a tendon; return whether the tendon is broken.
+    """Process one sample of a tendon, `dt` [s] after the last; return whether it is broken.
 
-    Parameters
-    ----------
-    slack : SlackState
-        Changed in place.
-    tension, tension_before : float
-        At the housing [N], of this sample and of the last few.
-    wound : float
-        Length wound in by all motors of its joint [m].
-    dt : float
-        Time since the last sample [s].
+    `tension` [N] at the housing is of this sample, `tension_before` of the last few, `wound` [m]
+    the length wound in by all motors of its joint. `slack` is changed in place.
     """
     if tension > config.slack:
         slack.time, slack.lost, slack.wound = -1.0, 0.0, nan
@@ -161,16 +153,8 @@ def check_winding(
     If several are slack because the joint was flung aside, the one that went slack first is broken;
     at the same time, the one with more tension.
 
-    Parameters
-    ----------
-    winding : WindingCheck
-        Changed in place.
-    tendons : sequence of CheckedTendon
-        Of the rig, averaged over the same samples; `slack` includes this one.
-    group : TendonGroup
-        Two tendons or more.
-    dt : float
-        Time since the last sample [s].
+    The sample is `dt` [s] after the last. `winding` is changed in place; `tendons` are those of the
+    rig, averaged over the same samples, their `slack` includes this one; a group has at least two.
     """
     wound, taut, of_all = 0.0, True, 0.0
     for n in range(group.count):

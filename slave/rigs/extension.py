@@ -39,17 +39,8 @@ class CheckedRig:
     it, that is a `RigFault` too, never taken for its absence. Of `summarise` and `close`, which
     come last, a failure is a warning: it must not replace what ended the session.
 
-    Parameters
-    ----------
-    rig : Rig
-        Open.
-    place : str
-        Name of the rig in messages.
-
-    Raises
-    ------
-    RigFault
-        It lacks an attribute or a method, one is of another type, or `follows` fails.
+    The rig is open; messages call it `place`. `RigFault` if it lacks an attribute or a method, one
+    is of another type, or `follows` fails.
     """
 
     def __init__(self, rig: Rig, place: str) -> None:

@@ -30,13 +30,9 @@ class Aligner:
 
     Each reading of the slower bus becomes one sample; the values of the faster are interpolated
     linearly between the readings before and after. A sample waits for the reading after, at most
-    one period of the faster bus. Nothing is extrapolated.
-
-    Attributes
-    ----------
-    worst_s : float
-        Largest distance [s] of a sample from the nearer of the two readings it was interpolated
-        between: the bound of the alignment error in time.
+    one period of the faster bus. Nothing is extrapolated. `worst_s` is the largest distance [s] of
+    a sample from the nearer of the two readings it was interpolated between: the bound of the
+    alignment error in time.
     """
 
     def __init__(self) -> None:
@@ -50,10 +46,7 @@ class Aligner:
     ) -> Iterator[tuple[float, Counts, Counts]]:
         """Yield the new samples, oldest first: time [s], motor positions, cells in counts.
 
-        Parameters
-        ----------
-        motors, cells : iterable of Reading
-            New readings, oldest first.
+        The new readings of both come oldest first.
         """
         self._motors.extend(motors)
         self._cells.extend(cells)

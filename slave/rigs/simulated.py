@@ -201,12 +201,8 @@ class SimulatedRig:
     """A `slave.rig.Rig` with bench sensors at the tips.
 
     Displacements are relative to the start, where every tendon is at its pretension. The same
-    config, reads and writes give the same samples.
-
-    Attributes
-    ----------
-    coarse_reads : int
-        Number of reads so late that the plant took longer steps than its period.
+    config, reads and writes give the same samples. `coarse_reads` were so late that the plant took
+    longer steps than its period.
     """
 
     starts_at_zero = True

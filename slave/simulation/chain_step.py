@@ -49,12 +49,7 @@ from slave.simulation.tendon import (
 def compute_response(chain: Chain, state: Array, proximal: float, dt: float) -> Response:
     """Return the tension response of the tendon at its tip in a step of `dt` [s].
 
-    Parameters
-    ----------
-    state : array, shape (6, n + 2)
-        Of the tendon before the step.
-    proximal : float
-        Position of the motor end [m] at the end of the step.
+    `state`, shape (6, n + 2), is before the step, `proximal` [m] the motor end's place after it.
     """
     spring, contact = compute_springs(chain, state, dt), compute_contacts(chain, state, dt)
     if len(contact.bristle) > 0:

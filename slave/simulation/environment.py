@@ -187,12 +187,7 @@ def replace_number(
 class EnvironmentRamp:
     """The constants of an environment on their way to those of another one of the same parts.
 
-    Parameters
-    ----------
-    environment : Environment
-        Its constants are changed in place.
-    goal : Environment
-        With as many parts, of the same kinds.
+    Those of `environment` are changed in place; `goal` has as many parts, of the same kinds.
     """
 
     def __init__(self, environment: Environment, goal: Environment) -> None:

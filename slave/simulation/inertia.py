@@ -103,10 +103,7 @@ class LinkMotion(NamedTuple):
 def compute_link_motion(links: Links, travel: Array, speed: Array) -> LinkMotion:
     """Return mass matrix, forces at no acceleration, and what moves the tips.
 
-    Parameters
-    ----------
-    travel, speed : array, shape (n,)
-        Of the joints at their own pulleys [m], [m/s].
+    `travel` [m] and `speed` [m/s], shape (n,), are of the joints at their own pulleys.
     """
     n = len(travel)
     mass, force = np.zeros((n, n)), np.zeros(n)

@@ -167,14 +167,8 @@ def solve_balance(
     """Return the travel [m] between `low` and `high` of a link in force balance.
 
     Bracketed by the old position and a stop, solved by the Illinois variant of the secant method:
-    the forces are nearly piecewise linear.
-
-    Parameters
-    ----------
-    start : float
-        Where the link was [m].
-    time, dt : float
-        The end of the step [s] and its length [s].
+    the forces are nearly piecewise linear. The link was at `start` [m]; the step of `dt` [s] ends
+    at `time` [s].
     """
     excess = compute_force_residual(answer, resistance, environment, start, start, time, dt)
     if abs(excess) <= resistance.friction:

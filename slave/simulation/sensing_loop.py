@@ -65,10 +65,8 @@ def compute_loop_target(config: SensingLoopConfig, time: float) -> float:
 class SensingLoops:
     """The loops of a rig's tendons, None where there is none.
 
-    Attributes
-    ----------
-    readings : tuple of arrays, or ()
-        Tensions at the moved and the held ends [N], shape (tendons,), NaN where there is none.
+    `readings` are the tensions at the moved and the held ends [N], shape (tendons,), NaN where
+    there is none; empty without any loop.
     """
 
     def __init__(

@@ -115,10 +115,8 @@ def measure(
 ) -> SensorState:
     """Return the sensors' readings `dt` [s] after `state`.
 
-    Parameters
-    ----------
-    truth, normal : arrays, shape (4, tendons)
-        The true values [N], [m], and as many standard normal deviates.
+    `truth` [N], [m], shape (4, tendons), are the true values, `normal` as many standard normal
+    deviates.
     """
     channels, tendons = truth.shape
     reading, lagged = np.empty((channels, tendons)), np.empty((channels, tendons))

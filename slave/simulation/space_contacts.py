@@ -91,12 +91,7 @@ def _to_row(surface: SurfaceConfig) -> list[float]:
 def locate_surfaces(contacts: SpaceContacts, motion: LinkMotion) -> tuple[Array, Array]:
     """Return the depth [m] of the tips in each surface, and its slopes over the joints' travels.
 
-    Returns
-    -------
-    depth : array, shape (m,)
-        Negative outside.
-    slope : array, shape (m, n)
-        Dimensionless.
+    The depth, shape (m,), is negative outside; the slopes have shape (m, n).
     """
     count = len(contacts.surfaces)
     depth, slope = np.empty(count), np.zeros((count, len(motion.mass)))

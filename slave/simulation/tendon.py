@@ -88,10 +88,7 @@ class SheathConfig:
 def divide_sheath(config: SheathConfig) -> tuple[Array, Array]:
     """Divide a sheath into cells of similar length, at least one per section.
 
-    Returns
-    -------
-    length, bend : array, shape (n,)
-        Length [m] and bend angle [rad] of each cell, housing to tip.
+    Returns length [m] and bend angle [rad] of each cell, housing to tip, shape (n,).
     """
     length = np.array([section.length for section in config.sections])
     radius = np.array([section.radius for section in config.sections])

@@ -65,15 +65,8 @@ def step(
 class Writer:
     """Owns the writing side of a node, and closes the node at the end.
 
-    Parameters
-    ----------
-    beat : callable
-        Called every `REARM_PERIOD_S` before a force is written; its `DeviceFault` fails the device.
-
-    Attributes
-    ----------
-    failure : DeviceFault or None
-        Why writing has stopped, if it has.
+    `beat` is called every `REARM_PERIOD_S` before a force is written; its `DeviceFault` fails the
+    device. `failure` tells why writing has stopped, if it has.
     """
 
     def __init__(
@@ -170,18 +163,8 @@ _SETTLE_S = 0.1  # after opening, in which a device reports how it was reset and
 class DeviceConnection:
     """Opened and set up by its constructor; raises `DeviceFault` on failure.
 
-    Parameters
-    ----------
-    pushed : tuple of str, optional
-        The axes whose force will be used, all by default: a device may have memory for a few
-        effects only.
-
-    Attributes
-    ----------
-    found : FoundDevice
-        Which device it is.
-    driver : HidDriver
-        Its driver.
+    `pushed` are the axes whose force will be used, all by default: a device may have memory for a
+    few effects only. `found` tells which device it is.
     """
 
     def __init__(

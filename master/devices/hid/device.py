@@ -119,14 +119,8 @@ class DeviceReconnection(Generic[T]):
     """Closes the failed device, then tries `open_again` until it succeeds.
 
     The failed device is closed completely first, so that its last report does not reach the next
-    one.
-
-    Attributes
-    ----------
-    found : object or None
-        The opened device, once available.
-    trouble : str
-        Why an attached device cannot be opened; empty while it may only need time.
+    one, which is `found` once available. `trouble` tells why an attached device cannot be opened;
+    it is empty while that may only need time.
     """
 
     def __init__(self, broken: T, open_again: Callable[[], T]) -> None:
@@ -207,12 +201,8 @@ class HidDevice:
     """A `master.device.Device`; see docs/how-to/haptic-device.md.
 
     An unplugged device is searched for until it is back; meanwhile `read` raises `DeviceLost`. Its
-    force is then zero until the next `write` after a successful read.
-
-    Parameters
-    ----------
-    say : callable
-        Called with one line about the device and with each warning.
+    force is then zero until the next `write` after a successful read. `say` is called with one line
+    about the device and with each warning.
     """
 
     def __init__(self, config: HidConfig, say: Callable[[str], None] = print) -> None:

@@ -69,10 +69,7 @@ def get_default_path() -> Path:
 def load(path: Path | None) -> ForceSigns:
     """Read the file; a missing file at the default path has no signs.
 
-    Raises
-    ------
-    UsageError
-        The content is invalid, or a given file does not exist.
+    `UsageError` if the content is invalid, or a given file does not exist.
     """
     if path is None and not get_default_path().exists():
         return ForceSigns()
@@ -138,10 +135,7 @@ def find_sign(
 ) -> int:
     """Push one force axis both ways, increasing until it moves; return its sign, 0 = not found.
 
-    Parameters
-    ----------
-    axis, force : int
-        Its index in the driver's axes and in its `forces`.
+    `axis` and `force` are its index in the driver's axes and in its `forces`.
     """
     for share in TEST_FORCES:
         sign = infer_sign(

@@ -64,12 +64,8 @@ class _ReportLayout(NamedTuple):
 class Inputs:
     """Axes and buttons of a device.
 
-    Attributes
-    ----------
-    axes : tuple of str
-        `x`, `rz`, `slider`, ...; a second one of a kind is `slider2`.
-    buttons : int
-        The buttons, then four for each hat: up, right, down, left.
+    The axes are `x`, `rz`, `slider`, ...; a second one of a kind is `slider2`. Behind the buttons
+    each hat has four: up, right, down, left.
     """
 
     def __init__(self, descriptor: ReportDescriptor) -> None:
@@ -186,10 +182,7 @@ def _group_button_rows(fields: list[ReportField]) -> list[_Buttons]:
 class JoystickDriver:
     """A `master.devices.hid.driver.HidDriver` that writes nothing to the device.
 
-    Parameters
-    ----------
-    descriptor : bytes
-        Of the device; `DriverError` if there are no inputs in it, `DescriptorError`.
+    `DriverError` if there are no inputs in its descriptor, `DescriptorError`.
     """
 
     forces: tuple[str, ...] = ()

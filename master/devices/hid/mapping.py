@@ -173,17 +173,9 @@ def build_mapping(
 ) -> DeviceMapping:
     """Return the mapping from a device to the hand.
 
-    Parameters
-    ----------
-    buttons : int
-        Number of buttons of the device with the buttons.
-    signs : mapping of str to int
-        Force sign of each axis, if known.
-
-    Raises
-    ------
-    DeviceFault
-        The device lacks an input of the config; the message names the key.
+    `buttons` is the number of buttons of the device with the buttons, `signs` the force sign of
+    each axis, if known. `DeviceFault` if the device lacks an input of the config; the message names
+    the key.
     """
     for name, number in config.buttons.assigned.items():
         if number > buttons:

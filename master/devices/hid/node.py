@@ -40,12 +40,7 @@ class Node:
 
     One thread may read while another writes, as long as neither continues after its own failure:
     hidapi keeps one error text for both (so it is not used). A node must not be used while it is
-    closed.
-
-    Parameters
-    ----------
-    path : str
-        As `master.devices.hid.search` gives it.
+    closed. `path` is as `master.devices.hid.search` gives it.
     """
 
     def __init__(self, path: str, name: str) -> None:

@@ -54,17 +54,9 @@ class _ConstantForce(NamedTuple):
 class PidDriver:
     """A `master.devices.hid.driver.HidDriver`.
 
-    Parameters
-    ----------
-    config : PidConfig
-        Effects in addition to the force.
-    pushed : tuple of str, optional
-        The axes to be pushed, all by default; each takes an effect of the device's memory.
-
-    Raises
-    ------
-    DriverError
-        Lists everything that the device lacks, or the error in its descriptor.
+    `config` has effects in addition to the force, `pushed` the axes to be pushed, all by default;
+    each takes an effect of the device's memory. A `DriverError` lists everything that the device
+    lacks, or the error in its descriptor.
     """
 
     def __init__(

@@ -76,15 +76,7 @@ class ReportPart:
 
 @dataclass(frozen=True, slots=True)
 class PidLayout:
-    """The reports and fields of a PID device.
-
-    Attributes
-    ----------
-    forces : tuple of str
-        The axes with a force, of those that it reads.
-    polar : bool
-        Whether effects are directed by an angle; otherwise by an axes-enable bit.
-    """
+    """The reports and fields of a PID device."""
 
     set_effect: ReportPart
     constant_force: ReportPart
@@ -95,8 +87,8 @@ class PidLayout:
     block_free: ReportPart | None
     gain: ReportPart | None
     condition: ReportPart | None
-    forces: tuple[str, ...]
-    polar: bool
+    forces: tuple[str, ...]  # the axes with a force, of those that it reads
+    polar: bool  # whether effects are directed by an angle; otherwise by an axes-enable bit
 
 
 def has_pid_collection(descriptor: ReportDescriptor) -> bool:

@@ -27,12 +27,7 @@ def format_driver_advice(item: AttachedNode, descriptor: bytes, misfits: Mapping
     """Return a message with the command that helps; empty if it has no force, or a driver for it.
 
     Devices with force are those with a PID collection, and wheels known to have another protocol or
-    to be in another mode.
-
-    Parameters
-    ----------
-    misfits : mapping of str to str
-        By driver, why it does not fit; empty if it fits.
+    to be in another mode. `misfits` tells by driver why it does not fit; empty if it fits.
     """
     if any(not reason and name != INPUTS_ONLY for name, reason in misfits.items()):
         return ""
@@ -181,17 +176,9 @@ def find_other_users(item: AttachedNode) -> str:
 def find_device(find: str, driver: str) -> FoundDevice:
     """Return the device that a config selects.
 
-    Parameters
-    ----------
-    find : str
-        vendor:product, serial number or path; empty means the only one that fits.
-    driver : str
-        Driver to use; `auto` takes the first that fits, generic drivers last.
-
-    Raises
-    ------
-    DeviceFault
-        There is none, or more than one, or it cannot be opened; with the remedy.
+    `find` is vendor:product, serial number or path; empty means the only one that fits. The driver
+    `auto` is the first that fits, generic drivers last. `DeviceFault` if there is none, or more
+    than one, or it cannot be opened; with the remedy.
     """
     everything = list_attached_nodes()
     matches = [examine_node(item) for item in everything if is_match(item, find)]
@@ -226,20 +213,9 @@ def find_reattached_device(
 ) -> FoundDevice:
     """Return the same device at its present path.
 
-    Parameters
-    ----------
-    paths_before : frozenset of str
-        Paths attached when it was unplugged; a device of the same identity at another of these is a
-        different one.
-    claimed_paths : frozenset of str
-        Paths of devices that are in use.
-
-    Raises
-    ------
-    DeviceNotFoundError
-        It is not attached.
-    DeviceFault
-        There are several of the same identity, or it cannot be opened.
+    `paths_before` were attached when it was unplugged; a device of the same identity at another of
+    these is a different one. `claimed_paths` are in use. `DeviceNotFoundError` if it is not
+    attached; `DeviceFault` if there are several of the same identity, or it cannot be opened.
     """
     old_node = device.item
     like = [
@@ -331,10 +307,7 @@ def leave_console_mode(find: str, driver: str) -> str:
 
     Only the wheel that is selected by `find`, or is alone: no device beside it has a force driver.
 
-    Raises
-    ------
-    DeviceFault
-        It cannot be opened, or does not come back.
+    `DeviceFault` if it cannot be opened, or does not come back.
     """
     everything = list_attached_nodes() if driver in ("auto", "logitech") else ()
     in_console = [node for node in everything if is_in_console_mode(node) and is_match(node, find)]

@@ -20,10 +20,7 @@ _HEARTBEAT = b"."
 class ForceWatchdog:
     """Handle of the watchdog process; `OSError` if the node at `path` cannot be opened.
 
-    Parameters
-    ----------
-    reports : sequence of bytes
-        Reports that remove the force.
+    `reports` remove the force.
     """
 
     def __init__(self, path: str, reports: Sequence[bytes]) -> None:

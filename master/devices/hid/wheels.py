@@ -42,14 +42,8 @@ class LogitechDriver:
     """A `master.devices.hid.driver.HidDriver`: inputs by descriptor, force on the steering.
 
     Pedals read 1 while released. The direction of a level above 0x80 is not documented; `teleop
-    devices test` finds it.
-
-    Parameters
-    ----------
-    descriptor : ReportDescriptor
-        Of the wheel; `DriverError` if it has no steering axis.
-    product, release : int
-        Of its USB descriptor.
+    devices test` finds it. `DriverError` if the wheel's descriptor has no steering axis; `product`
+    and `release` are of its USB descriptor.
     """
 
     forces: tuple[str, ...] = (_STEERING,)

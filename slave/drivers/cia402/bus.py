@@ -35,12 +35,7 @@ class BufferedPort:
     """A `serial.Serial` whose small reads are served from memory.
 
     python-can reads an slcan adapter byte by byte, which costs two system calls a byte: more than
-    all else that a frame takes.
-
-    Parameters
-    ----------
-    port : serial.Serial
-        Open; everything but reading is passed on to it.
+    all else that a frame takes. Everything but reading is passed on to the open `port`.
     """
 
     def __init__(self, port: Any) -> None:
@@ -121,10 +116,8 @@ class ClaimedBus(NamedTuple):
 def open_bus(config: Cia402Config) -> ClaimedBus:
     """Open the CAN bus of a config, and listen for other controllers on it.
 
-    Raises
-    ------
-    DriverFault
-        It cannot be opened, another program of this machine uses it, or another controller does.
+    `DriverFault` if it cannot be opened, another program of this machine uses it, or another
+    controller does.
     """
     place = format_bus_name(config)
     interface, channel = config.bus.interface, config.bus.channel

@@ -33,22 +33,10 @@ def compute_bus_load(
 ) -> float:
     """Return the share of the bus in use in the worst case.
 
-    Each cycle carries a SYNC, a PDO of control word and target to each drive, one of status word
-    and position back, and the cells' values: of 16 bits beside a drive's own, otherwise in a PDO of
-    their own.
-
-    Parameters
-    ----------
-    bitrate : float
-        [bit/s]
-    rate_hz : float
-        Of SYNC.
-    drives, cells, together : int
-        Nodes with a motor, with a cell, and with both.
-    wide : bool
-        Whether a cell's value has 32 bits.
-    beats_hz : float
-        Frames a second of NMT error control: heartbeats, or node guarding.
+    Each cycle, at `rate_hz`, carries a SYNC, a PDO of control word and target to each drive, one of
+    status word and position back, and the cells' values: of 16 bits beside a drive's own, otherwise
+    (`wide`: 32 bits) in a PDO of their own. So many nodes have a motor, a cell, and both. Besides
+    there are `beats_hz` frames a second of NMT error control: heartbeats, or node guarding.
     """
     width = 4 if wide else 2
     shared = 0 if wide else together
@@ -69,10 +57,8 @@ TOLERANCE = 1e-5  # of a rate that is written with six digits
 def encode_period(rate_hz: float) -> tuple[int, int]:
     """Return the period of a rate [Hz] as a count, and the exponent of ten of its unit [s].
 
-    Raises
-    ------
-    ValueError
-        The period is no whole number of any unit; the nearest rate with such a period is named.
+    `ValueError` if the period is no whole number of any unit; the nearest rate with such a period
+    is named.
     """
     for exponent in EXPONENTS:
         period = 10.0**-exponent / rate_hz
@@ -194,10 +180,7 @@ class Cia402Config:
     def require_load(self, drives: int, cells: int, together: int) -> float:
         """Return the share of the bus in use; raises `ValueError` if it cannot fit.
 
-        Parameters
-        ----------
-        drives, cells, together : int
-            Nodes with a motor, with a cell, and with both.
+        So many nodes have a motor, a cell, and both.
         """
         wide = self.analogue.bits == 32
         guarded = self.error_control == "guarding"

@@ -221,11 +221,8 @@ class NodeSetup:
     ) -> None:
         """Write a value of `size` bytes, or its `meaning` in messages, and read it back.
 
-        Raises
-        ------
-        DriverFault
-            The value does not fit `size` bytes, in two's complement if `signed`, or the node does
-            not take it.
+        `DriverFault` if the value does not fit `size` bytes, in two's complement if `signed`, or
+        the node does not take it.
         """
         try:
             data = int(value).to_bytes(size, "little", signed=signed)

@@ -25,12 +25,8 @@ BUS_OFF_TEXT = "bus off: check bit rate, termination (120 ohm at both ends) and 
 class BusMonitor(can.Listener):
     """Takes every frame; says why a node does not answer.
 
-    Attributes
-    ----------
-    count_refusals : callable
-        Returns how many frames an slcan adapter has refused to send.
-    damaged : int
-        Lines of an slcan adapter that could not be read.
+    Of an slcan adapter `count_refusals` returns how many frames it has refused to send, and
+    `damaged` counts lines that could not be read.
     """
 
     def __init__(self, bus: BusConfig) -> None:

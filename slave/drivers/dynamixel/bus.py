@@ -30,12 +30,7 @@ class WaitingPort(PortHandler):  # type: ignore[misc] # the SDK has no types
     """A `PortHandler` that sleeps while it waits, and waits no longer than it is told to.
 
     The SDK's own polls without sleep and waits 34 ms for a missing answer, as long as a servo's
-    watchdog.
-
-    Parameters
-    ----------
-    wait_s : float
-        Time to wait for an answer, beyond its bytes' own time on the line.
+    watchdog; this one `wait_s`, beyond the answer's own time on the line.
     """
 
     def __init__(self, name: str, wait_s: float) -> None:
@@ -78,15 +73,7 @@ LATE_S = 0.03  # [s] after a failure: a late answer would be taken for that of t
 
 
 class ServoBus:
-    """The servos on one adapter; `DriverFault` for whatever goes wrong.
-
-    Parameters
-    ----------
-    path : str
-        Device file of the adapter.
-    wait_s : float
-        Time to wait for an answer [s], beyond its bytes' own time on the line.
-    """
+    """The servos on one adapter, a device file; `DriverFault` for whatever goes wrong."""
 
     def __init__(self, path: str, wait_s: float) -> None:
         self.path = path

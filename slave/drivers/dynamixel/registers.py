@@ -139,10 +139,7 @@ def has_known_table(model: int) -> bool:
 def list_settings(limits_current: bool) -> tuple[tuple[Register, int], ...]:
     """Return what decides how a servo moves and answers, in the order in which it is set.
 
-    Parameters
-    ----------
-    limits_current : bool
-        Whether the current is to be limited, which the extended position mode does not.
+    The extended position mode does not limit the current.
     """
     return (
         (STATUS_RETURN, ANSWERS_ALL),

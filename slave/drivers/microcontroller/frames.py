@@ -167,12 +167,8 @@ def parse_state(body: bytes) -> BoardState:
 class FrameReader:
     """Cuts received bytes into frames.
 
-    Attributes
-    ----------
-    bad : int
-        Damaged frames so far.
-    lost : int
-        Frames missing between valid ones, by their sequence.
+    So far `bad` ones were damaged, and `lost` ones are missing between valid ones, by their
+    sequence.
     """
 
     def __init__(self) -> None:

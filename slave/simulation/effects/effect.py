@@ -52,16 +52,9 @@ def select_tendon_effects(
 
 
 def compute_knobs(effects: Sequence[TendonEffect], time: float, slid: Sequence[float]) -> Knobs:
-    """Return the knobs of a tendon under all its effects.
+    """Return the knobs of a tendon at `time` [s] under all its effects.
 
-    Parameters
-    ----------
-    effects : sequence of TendonEffect
-        Of this tendon, `select_tendon_effects`.
-    time : float
-        Now [s].
-    slid : sequence of float
-        Accumulated travel of the tendon's housing end [m] since the start of each effect.
+    `slid` [m] is the accumulated travel of the tendon's housing end since the start of each.
     """
     knobs = Knobs()
     for effect, distance in zip(effects, slid, strict=True):
