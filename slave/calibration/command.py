@@ -27,8 +27,8 @@ from typing import Any
 from slave.calibration import file
 from slave.calibration.file import Calibration, TendonCalibration, ValueWithUncertainty
 from slave.calibration.initialisation import InitialiseResult, initialise
+from slave.calibration.procedure_state import format_tendon_name
 from slave.calibration.record import ProcedureData
-from slave.calibration.refusals import format_tendon_name
 from slave.calibration.run import (
     CalibrationInterrupted,
     ProcedureProgress,

@@ -5,9 +5,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slave.calibration.file import Calibration, TendonCalibration
-from slave.calibration.procedure_state import Phase
+from slave.calibration.procedure_state import TENDON_NAMES, Phase
 from slave.calibration.record import ProcedureData
-from slave.calibration.refusals import TENDON_NAMES
 
 PULLED_COLOUR, OTHER_COLOUR, LINE_COLOUR = "#b2182b", "#2166ac", "#444444"
 

@@ -7,7 +7,7 @@ start of another phase.
 import math
 from collections.abc import Callable
 
-from slave.calibration import procedure_state, refusals
+from slave.calibration import procedure_state
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.procedure_state import (
     JointConstants,
@@ -19,8 +19,8 @@ from slave.calibration.procedure_state import (
     Trend,
     abort_procedure,
     begin_phase,
+    format_tendon_name,
 )
-from slave.calibration.refusals import format_tendon_name
 
 TREND_WINDOW = 2e-4  # [m] of motor travel for the stiffness estimate
 TENSION_GAIN = 0.004  # [m/s] of winding per [N] of missing tension
@@ -57,15 +57,15 @@ def _take_up_slack(
     count = len(sample.tension)
     if memory.steady >= SETTLING_S:
         if memory.phase is Phase.SETTLE:
-            return _build_zero_speeds(sample), begin_phase(memory, Phase.DONE, sample)
+            return _enter_phase(memory, Phase.DONE, sample)
         if not memory.home:
             memory = memory._replace(home=sample.travel)
         if joint.is_staged:
-            return _build_zero_speeds(sample), begin_phase(memory, Phase.HOLD, sample)
+            return _enter_phase(memory, Phase.HOLD, sample)
         if memory.side == count:
             memory = memory._replace(lane=_compute_drag_length(config, memory, sample))
         phase = Phase.SEEK if memory.side < count else Phase.DRAG
-        return _build_zero_speeds(sample), begin_phase(memory, phase, sample)
+        return _enter_phase(memory, phase, sample)
     wound = [q - q0 for q, q0 in zip(sample.travel, memory.origin, strict=True)]
     allowed = config.slack_max + (config.pay_out + TREND_WINDOW if memory.stops else 0.0)
     if sum(wound) > allowed:
@@ -78,8 +78,13 @@ def _take_up_slack(
     tightest = min(range(count), key=wound.__getitem__)
     if wound[tightest] < -allowed:
         name = format_tendon_name(joint.number, count, tightest)
-        reason = refusals.format_residual_tension(name, -wound[tightest], memory.tension[tightest])
-        return _abort_and_hold(memory, sample, reason)
+        return _abort_and_hold(
+            memory,
+            sample,
+            f"{name}: still {memory.tension[tightest]:.2f} N after paying out "
+            f"{-wound[tightest] * 1e3:.1f} mm; something pulls on the joint, or one of its load "
+            "cells is stuck or not tared; check both",
+        )
     return _take_up(config, memory), memory
 
 
@@ -108,21 +113,17 @@ def _seek_stop(
         return _accept_stop(config, joint.compliance[k], name, memory, sample)
     wound = travel - memory.origin[k]
     if wound > config.travel_max:
-        unchanged = travel - memory.cells[k].since > 0.5 * wound
-        return _abort_and_hold(
-            memory, sample, refusals.format_no_stop(name, tension, unchanged, config)
-        )
-    if (
-        tension < TENSION_LOSS_RATIO * memory.highest
-        and memory.highest > TENSION_RISE_MIN * config.tension
-    ):
-        return _abort_and_hold(
-            memory, sample, refusals.format_lost_tension(name, memory.highest, tension)
-        )
+        remedy = "check that the tendon is attached, or raise slave.initialise.travel_max"
+        text = f"no stop within {config.travel_max * 1e3:g} mm, the tension is {tension:.2f} N"
+        if travel - memory.cells[k].since > 0.5 * wound:
+            text, remedy = f"{text}, and the reading never changes", "check the load cell"
+        return _abort_and_hold(memory, sample, f"{name}: {text}; {remedy}")
+    if _has_lost_tension(config, memory, tension):
+        return _abort_for_loss(memory, sample, name, memory.highest, tension)
     if travel > memory.tried + PROBE_INTERVAL and procedure_state.is_cell_stuck(
         memory.cells[k], travel
     ):
-        return _build_zero_speeds(sample), begin_phase(memory, Phase.PROBE, sample)
+        return _enter_phase(memory, Phase.PROBE, sample)
     speed = config.stretch_speed if stretching else config.seek_speed
     return _draw_joint(config, joint, memory, sample, k, speed)
 
@@ -139,17 +140,26 @@ def _accept_stop(
     assert contact is not None  # noqa: S101 - set by the caller
     rise = memory.tension[k] - contact.tension
     if rise < TENSION_RISE_MIN * config.tension:
-        reason = refusals.format_late_stop(name, contact.tension, memory.tension[k])
-        return _abort_and_hold(memory, sample, reason)
+        return _abort_and_hold(
+            memory,
+            sample,
+            f"{name}: {memory.tension[k]:.1f} N were reached before or just after the stop "
+            f"({contact.tension:.1f} N): the tip presses on something soft, or friction, spring "
+            "and the other tendon take all the tension; free the tip, or raise "
+            "slave.initialise.tension",
+        )
     compliance = (sample.travel[k] - contact.travel) / rise
     if compliance > softest:
-        reason = refusals.format_soft_stop(name, contact.tension, compliance, softest)
-        return _abort_and_hold(memory, sample, reason)
+        return _abort_and_hold(
+            memory,
+            sample,
+            f"{name}: beyond {contact.tension:.1f} N it yields by {compliance * 1e3:.3f} mm/N, "
+            f"more than any sheath of this rig ({softest * 1e3:.3f} mm/N): the tip presses on "
+            "something soft; free it",
+        )
     stops = (*memory.stops, contact._replace(compliance=compliance))
     next_phase = Phase.SLACKEN if len(sample.tension) > 1 else Phase.RELEASE
-    return _build_zero_speeds(sample), begin_phase(
-        memory._replace(stops=stops, releases=0), next_phase, sample
-    )
+    return _enter_phase(memory._replace(stops=stops, releases=0), next_phase, sample)
 
 
 def _probe_cell(
@@ -159,12 +169,10 @@ def _probe_cell(
     k = memory.side
     if memory.cells[k].alike == 0:
         memory = memory._replace(tried=sample.travel[k])
-        return _build_zero_speeds(sample), begin_phase(memory, Phase.SEEK, sample)
+        return _enter_phase(memory, Phase.SEEK, sample)
     if memory.elapsed > PROBE_S:
         name = format_tendon_name(joint.number, len(sample.tension), k)
-        return _abort_and_hold(
-            memory, sample, refusals.format_saturated_cell(name, memory.tension[k])
-        )
+        return _abort_for_cell(memory, sample, name, memory.tension[k])
     is_back = sample.motor[k] > memory.origin[k] - PROBE_TRAVEL
     return _build_single_speed(sample, k, -config.stretch_speed if is_back else 0.0), memory
 
@@ -175,7 +183,7 @@ def _slacken_antagonist(
     """Pay out the other tendon until it cannot pull the joint off its stop."""
     antagonist = 1 - memory.side
     if memory.origin[antagonist] - sample.travel[antagonist] >= config.pay_out:
-        return _build_zero_speeds(sample), begin_phase(memory, Phase.RELEASE, sample)
+        return _enter_phase(memory, Phase.RELEASE, sample)
     return _build_single_speed(sample, antagonist, -config.seek_speed), memory
 
 
@@ -198,11 +206,11 @@ def _release_tendon(
         return _build_single_speed(sample, k, -_compute_stretch_speed(config, memory)), memory
     memory = memory._replace(releases=memory.releases + 1)
     if memory.releases <= config.loops:
-        return _build_zero_speeds(sample), begin_phase(memory, Phase.PULL, sample)
+        return _enter_phase(memory, Phase.PULL, sample)
     memory = memory._replace(side=memory.side + 1, contact=None, tried=-math.inf)
     if len(sample.tension) == 1:
-        return _build_zero_speeds(sample), begin_phase(memory, Phase.RETURN, sample)
-    return _build_zero_speeds(sample), begin_phase(memory, Phase.TAKE_UP, sample)
+        return _enter_phase(memory, Phase.RETURN, sample)
+    return _enter_phase(memory, Phase.TAKE_UP, sample)
 
 
 def _pull_tendon(
@@ -212,24 +220,20 @@ def _pull_tendon(
     k = memory.side
     tension, wound = memory.tension[k], sample.travel[k] - memory.origin[k]
     if tension >= config.tension:
-        return _build_zero_speeds(sample), begin_phase(memory, Phase.RELEASE, sample)
+        return _enter_phase(memory, Phase.RELEASE, sample)
     name = format_tendon_name(joint.number, len(sample.tension), k)
     if procedure_state.is_cell_stuck(memory.cells[k], sample.travel[k]):
-        return _abort_and_hold(memory, sample, refusals.format_saturated_cell(name, tension))
-    if (
-        tension < TENSION_LOSS_RATIO * memory.highest
-        and memory.highest > TENSION_RISE_MIN * config.tension
-    ):
-        return _abort_and_hold(
-            memory, sample, refusals.format_lost_tension(name, memory.highest, tension)
-        )
+        return _abort_for_cell(memory, sample, name, tension)
+    if _has_lost_tension(config, memory, tension):
+        return _abort_for_loss(memory, sample, name, memory.highest, tension)
     if wound > _compute_travel_max(config, memory):
         if tension < TAUT_RATIO * config.take_up:
-            return _abort_and_hold(
-                memory, sample, refusals.format_lost_tension(name, config.tension, tension)
-            )
+            return _abort_for_loss(memory, sample, name, config.tension, tension)
         return _abort_and_hold(
-            memory, sample, refusals.format_pull_not_repeated(name, tension, config)
+            memory,
+            sample,
+            f"{name}: the later pull reached only {tension:.1f} N, not {config.tension:g} N: the "
+            "stop yields or the tendon slips; check both",
         )
     return _build_single_speed(sample, k, _compute_stretch_speed(config, memory)), memory
 
@@ -245,15 +249,20 @@ def _drag_tendon(
     k = memory.side % 2
     tension, wound = memory.tension[k], sample.travel[k] - memory.origin[k]
     if tension >= config.tension:
-        return _abort_and_hold(memory, sample, refusals.format_obstacle(joint.number, tension))
+        return _abort_and_hold(
+            memory,
+            sample,
+            f"joint {joint.number}: {tension:.1f} N on the way back from the stop, where the joint "
+            "moved freely before: remove the obstacle",
+        )
     if wound >= memory.lane:
         if joint.is_staged:
-            return _build_zero_speeds(sample), begin_phase(memory, Phase.HOLD, sample)
+            return _enter_phase(memory, Phase.HOLD, sample)
         if memory.side + 1 < 2 + config.drags:
             lane = memory.lane * DRAG_OVERSHOOT / (0.5 + DRAG_OVERSHOOT)
             memory = memory._replace(side=memory.side + 1, lane=lane, easing=False)
-            return _build_zero_speeds(sample), begin_phase(memory, Phase.DRAG, sample)
-        return _build_zero_speeds(sample), begin_phase(memory, Phase.SETTLE, sample)
+            return _enter_phase(memory, Phase.DRAG, sample)
+        return _enter_phase(memory, Phase.SETTLE, sample)
     speed = min(config.seek_speed, memory.lane / config.drag_time)
     if wound < LEAD_SHARE * memory.lane or (memory.easing and memory.tension[1 - k] <= config.keep):
         return _draw_joint(config, joint, memory, sample, k, speed)
@@ -273,18 +282,22 @@ def _move_joint(
     k = memory.side
     if not memory.easing:  # a tendon that held it at a stop would brake it
         if memory.steady >= SETTLING_S:
-            memory = begin_phase(memory._replace(easing=True), Phase.MOVE, sample)
-            return _build_zero_speeds(sample), memory
+            return _enter_phase(memory._replace(easing=True), Phase.MOVE, sample)
         return _take_up(config, memory), memory
     tension, left = memory.tension[k], memory.lane
     if tension >= memory.hold if memory.hold else left <= 0.0:
         if left <= POSTURE_ERROR:
-            return _build_zero_speeds(sample), begin_phase(memory, Phase.HOLD, sample)
+            return _enter_phase(memory, Phase.HOLD, sample)
     elif left > -POSTURE_ERROR and tension < max(memory.hold, OBSTACLE_RATIO * config.tension):
         speed = config.stretch_speed if left < POSTURE_ERROR else config.seek_speed
         return _draw_joint(config, joint, memory, sample, k, speed)
-    reason = refusals.format_unreached_posture(joint.number, left, tension)
-    return _abort_and_hold(memory, sample, reason)
+    where = f"{left * 1e3:.1f} mm before" if left > 0.0 else f"{-left * 1e3:.1f} mm beyond"
+    return _abort_and_hold(
+        memory,
+        sample,
+        f"joint {joint.number}: posture not reached: {tension:.1f} N {where} its place; free the "
+        "tip and the links, and check its stops and arms.radii",
+    )
 
 
 def _compute_drag_length(
@@ -300,7 +313,7 @@ def _return_joint(
 ) -> PhaseResult:
     """Let a return spring take the joint back to where it came from."""
     if sample.travel[0] <= memory.home[0]:
-        return _build_zero_speeds(sample), begin_phase(memory, Phase.SETTLE, sample)
+        return _enter_phase(memory, Phase.SETTLE, sample)
     return _build_single_speed(sample, 0, -config.seek_speed), memory
 
 
@@ -309,7 +322,7 @@ def _lower_tensions(
 ) -> PhaseResult:
     """Lower all tensions slowly; wind in nothing and pay out no more than needed."""
     if memory.steady >= SETTLING_S or memory.elapsed > config.relax_max:
-        return _build_zero_speeds(sample), begin_phase(memory, Phase.REFUSED, sample)
+        return _enter_phase(memory, Phase.REFUSED, sample)
     speeds = []
     for k, tension in enumerate(memory.tension):
         travel_max = TRAVEL_MARGIN * joint.compliance[k] * config.tension + TRAVEL_ALLOWANCE
@@ -340,10 +353,47 @@ def _abort_for_slack(
     wound: float,
     tension_target: float,
 ) -> PhaseResult:
-    reason = refusals.format_slack(
-        name, wound, memory.tension[k], TAUT_RATIO * tension_target, config
+    tension = memory.tension[k]
+    if tension > TAUT_RATIO * tension_target:
+        text = (
+            f"{wound * 1e3:.1f} mm had to be wound in before it was taut, more than "
+            f"slave.initialise.slack_max ({config.slack_max * 1e3:g} mm); shorten the tendon"
+        )
+    else:
+        text = (
+            f"{tension:.2f} N after winding in {wound * 1e3:.1f} mm; the tendon is broken, too "
+            "slack or not attached, or its load cell is stuck; check both"
+        )
+    return _abort_and_hold(memory, sample, f"{name}: {text}")
+
+
+def _has_lost_tension(config: InitialiseConfig, memory: ProcedureState, tension: float) -> bool:
+    """Return whether the tendon that is pulled has slipped or broken."""
+    is_low = tension < TENSION_LOSS_RATIO * memory.highest
+    return is_low and memory.highest > TENSION_RISE_MIN * config.tension
+
+
+def _abort_for_loss(
+    memory: ProcedureState, sample: JointReadings, name: str, highest: float, tension: float
+) -> PhaseResult:
+    text = f"the tension was {highest:.1f} N and is {tension:.1f} N although the motor pulls"
+    return _abort_and_hold(memory, sample, f"{name}: {text}: the tendon slipped or broke")
+
+
+def _abort_for_cell(
+    memory: ProcedureState, sample: JointReadings, name: str, tension: float
+) -> PhaseResult:
+    return _abort_and_hold(
+        memory,
+        sample,
+        f"{name}: the load cell reads {tension:.2f} N without any change while the motor pulls: "
+        "it is stuck or saturated; check its cable and amplifier, or lower "
+        "slave.initialise.tension",
     )
-    return _abort_and_hold(memory, sample, reason)
+
+
+def _enter_phase(memory: ProcedureState, phase: Phase, sample: JointReadings) -> PhaseResult:
+    return _build_zero_speeds(sample), begin_phase(memory, phase, sample)
 
 
 def _build_zero_speeds(sample: JointReadings) -> Tendons:

@@ -13,7 +13,7 @@ inconsistency: the tendons are then released to a low tension, and nothing is pu
 
 import math
 
-from slave.calibration import procedure_state, refusals
+from slave.calibration import procedure_state
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.phases import HANDLERS, is_settled
 from slave.calibration.procedure_state import (
@@ -25,8 +25,9 @@ from slave.calibration.procedure_state import (
     Tendons,
     abort_procedure,
     begin_phase,
+    format_tendon_name,
 )
-from slave.calibration.refusals import format_tendon_name
+from slave.gate import GateFlags
 
 SMOOTH_S = 0.005  # [s] time constant of the averaged tension used for decisions
 BLOCKED_S = 0.2  # [s] for which the gate may block all motion
@@ -102,13 +103,31 @@ def _find_common_refusal(
     """Return the reason to abort that applies in any phase; empty if none."""
     count = len(sample.tension)
     if memory.elapsed > config.phase_max:
-        return refusals.format_phase_timeout(joint.number, memory.phase.text, config)
+        return (
+            f"joint {joint.number}: {memory.phase.text} took longer than {config.phase_max:g} s; "
+            "check what blocks it, or raise slave.initialise.phase_max"
+        )
     for k in range(count):
         name = format_tendon_name(joint.number, count, k)
         if memory.blocked[k] > BLOCKED_S:
-            seeking = memory.phase is Phase.SEEK
-            return refusals.format_blocked_motor(name, sample.verdict, memory.moved[k], seeking)
+            return f"{name}: {_explain_blocked_motor(memory, sample.verdict, k)}"
         behind = abs(sample.motor[k] - sample.travel[k])
         if behind > config.lag_max:
-            return refusals.format_weak_motor(name, behind, sample.tension[k], config)
+            return (
+                f"{name}: the motor is {behind * 1e3:.1f} mm behind its command at "
+                f"{sample.tension[k]:.1f} N; check that it can pull {config.tension:g} N, or lower "
+                "slave.initialise.tension"
+            )
     return ""
+
+
+def _explain_blocked_motor(memory: ProcedureState, verdict: GateFlags, k: int) -> str:
+    """Return which limit of the gate blocks a motor, and what to do."""
+    if GateFlags.TENSION in verdict:
+        return "the tension is at slave.gate.tension_max; lower slave.initialise.tension"
+    if GateFlags.STALE in verdict:
+        return "its tension is older than slave.gate.tension_age_max; check the load cell"
+    limit = "displacement_min" if memory.moved[k] < 0.0 else "displacement_max"
+    if memory.phase is not Phase.SEEK:
+        return f"its motor is at slave.gate.{limit}: widen the limit"
+    return f"no stop found before slave.gate.{limit}: check that it exists, or widen the limit"

@@ -92,6 +92,12 @@ def compute_stiffness(trend: Trend, window: float) -> float:
 
 
 Tendons = tuple[float, ...]
+TENDON_NAMES = ("a", "b")
+
+
+def format_tendon_name(joint: int, tendons: int, tendon: int) -> str:
+    """Return the name of a tendon in messages: joints count from 1, tendons are a and b."""
+    return f"joint {joint}, tendon {TENDON_NAMES[tendon]}" if tendons > 1 else f"joint {joint}"
 
 
 class Phase(IntEnum):

@@ -19,12 +19,15 @@ from estimator.calibration.calibration import CalibrationError
 from estimator.fitting import COVERAGE_FACTOR, MeasuredValue
 from estimator.law.sheath import Sheath
 from estimator.plausibility import find_implausible_parameter
-from slave.calibration import refusals
 from slave.calibration.config import KnownSheathConfig
 from slave.calibration.file import TendonCalibration, ValueWithUncertainty
-from slave.calibration.procedure_state import Phase, StopContact
+from slave.calibration.procedure_state import (
+    TENDON_NAMES,
+    Phase,
+    StopContact,
+    format_tendon_name,
+)
 from slave.calibration.record import ProcedureData
-from slave.calibration.refusals import TENDON_NAMES, format_tendon_name
 from slave.calibration.run import CalibrationRefused
 from slave.sheath_section import SectionConfig
 from slave.tendon_config import TendonConfig
@@ -304,15 +307,20 @@ def _fit_loops(
             for loop in loops
         ]
     except CalibrationError as error:
-        raise CalibrationRefused(refusals.format_no_loop(pulled.name, str(error))) from error
+        raise CalibrationRefused(
+            f"{pulled.name}: {error}; check that the joint rests against its stop, that the tip "
+            "does not press on something soft, and that the other tendon is not jammed"
+        ) from error
     best, loop = min(zip(calibrations, loops, strict=True), key=lambda pair: pair[0].K.uncertainty)
     lowest = max(float(np.quantile(loop.tension, 0.01)), 1e-3 * best.T_peak.value)
     reach = 0.5 * math.log(best.T_peak.value / lowest)
     if best.K.value > reach - RESOLUTION_MARGIN:
+        remedy = "" if is_full else ", or run the full procedure"
         raise CalibrationRefused(
-            refusals.format_unresolved_friction(
-                pulled.name, best.K.value, best.T_peak.value, lowest, reach, is_full
-            )
+            f"{pulled.name}: K = {best.K.value:.2f} is at the limit of what a loop from "
+            f"{best.T_peak.value:.1f} N to {lowest:.2f} N resolves ({reach:.2f}) and may be "
+            "higher; check that the tendon is not jammed, raise slave.initialise.tension, lower "
+            f"slave.initialise.low{remedy}"
         )
     return best
 
