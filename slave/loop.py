@@ -122,6 +122,17 @@ class SlaveRecords(NamedTuple):
         return self.settings, self.layout, self.memory, self.scratch
 
 
+class Tick(NamedTuple):
+    """The records of a tick that its steps share."""
+
+    settings: SlaveSettings
+    layout: RigLayout
+    memory: SlaveMemory
+    scratch: Scratch
+    command: Command
+    given: TickInput
+
+
 def build_rig_model(
     joints: Sequence[Sequence[int]],
     models: Sequence[online.TendonModel],
@@ -246,20 +257,18 @@ def begin_tick(
     commands: StructArray,
 ) -> bool:
     """Run `run_tick` up to the motion of the tips; return whether they shall move."""
-    settings, layout, memory = settings_records[0], layouts[0], memories[0]
-    scratch, command = scratches[0], commands[0]
-    fault, tendon = _process_samples(
-        settings, layout, memory, scratch, rows, sample_count, tick_input.dt
-    )
-    _update_faults(settings, layout, memory, rows, sample_count, fault, tendon, tick_input.dt)
-    _update_readiness(settings, memory, scratch, tick_input.motors_follow)
+    layout, memory = layouts[0], memories[0]
+    tick = Tick(settings_records[0], layout, memory, scratches[0], commands[0], tick_input)
+    fault, tendon = _process_samples(tick, rows, sample_count)
+    _update_faults(tick, rows, sample_count, fault, tendon)
+    _update_readiness(tick)
     degraded_mode.advance_ramp(memory.degradation, tick_input.dt)
-    commanded = _copy_command(layout, scratch, command, tick_input)
-    _advance_session(settings, layout, memory, scratch, command, tick_input)
+    commanded = _copy_command(tick)
+    _advance_session(tick)
     engaged = state_machine.may_move(memory.session) and commanded
     if memory.has_sample:
         _estimate_joints(layout, memory)
-    _apply_coupling(settings, layout, memory, scratch, command, tick_input, commanded, engaged)
+    _apply_coupling(tick, commanded, engaged)
     return engaged
 
 
@@ -275,30 +284,22 @@ def end_tick(
     engaged: bool,
 ) -> int:
     """Run the rest of `run_tick`: motors, gate, state."""
-    settings, layout, memory = settings_records[0], layouts[0], memories[0]
-    scratch, command = scratches[0], commands[0]
-    verdict = gate.HELD
+    memory, verdict = memories[0], gate.HELD
+    tick = Tick(settings_records[0], layouts[0], memory, scratches[0], commands[0], tick_input)
     if memory.has_sample and (memory.has_gated_position or engaged):
-        verdict = _command_motors(settings, layout, memory, scratch, engaged, tick_input)
+        verdict = _command_motors(tick, engaged)
         memory.has_gated_position = True
-    _fill_state(settings, layout, memory, command, tick_input, states[0])
+    _fill_state(tick, states[0])
     return verdict
 
 
 @jit_compile
-def _process_samples(
-    settings: SlaveSettings,
-    layout: RigLayout,
-    memory: SlaveMemory,
-    scratch: Scratch,
-    rows: StructArray,
-    sample_count: int,
-    dt: float,
-) -> tuple[int, int]:
+def _process_samples(tick: Tick, rows: StructArray, sample_count: int) -> tuple[int, int]:
     """Process the samples; return the newest fault Reason and its tendon."""
+    settings, layout, memory = tick.settings, tick.layout, tick.memory
     fault: int = Reason.NONE
     tendon = -1
-    initial_position.increase_age(memory.initial_position, dt)
+    initial_position.increase_age(memory.initial_position, tick.given.dt)
     for i in range(sample_count):
         row = rows[i]
         reason, faulty_tendon = fault_detection.step(
@@ -306,7 +307,7 @@ def _process_samples(
         )
         if reason != Reason.NONE:
             fault, tendon = reason, faulty_tendon
-        track_initial_position(layout, memory, scratch, row)
+        track_initial_position(layout, memory, tick.scratch, row)
         if settings.is_actuated and memory.has_gated_position:
             fault_detection.record_motor_readings(
                 memory.motors, layout, row.tendons, memory.gated_position
@@ -328,16 +329,10 @@ def track_initial_position(
 
 @jit_compile
 def _update_faults(
-    settings: SlaveSettings,
-    layout: RigLayout,
-    memory: SlaveMemory,
-    rows: StructArray,
-    sample_count: int,
-    fault: int,
-    tendon: int,
-    dt: float,
+    tick: Tick, rows: StructArray, sample_count: int, fault: int, tendon: int
 ) -> None:
     """Update the fault conditions: motors, missing samples, tension over its limit."""
+    settings, layout, memory, dt = tick.settings, tick.layout, tick.memory, tick.given.dt
     if settings.is_actuated:
         motor_fault, motor = fault_detection.check_motors(
             settings.fault_detection,
@@ -357,9 +352,7 @@ def _update_faults(
         is_usable = is_usable or _is_usable(layout, rows[i].tendons)
     has_new_sample = is_usable and not memory.motors.repeated
     memory.sample_age = 0.0 if has_new_sample else memory.sample_age + dt
-    is_overloaded = state_machine.may_move(memory.session) and _is_overloaded(
-        settings, layout, memory
-    )
+    is_overloaded = state_machine.may_move(memory.session) and _is_overloaded(tick)
     memory.overload = memory.overload + dt if is_overloaded else 0.0
 
 
@@ -373,98 +366,89 @@ def _is_usable(layout: RigLayout, tendons: Sequence[EstimatedTendon]) -> bool:
 
 
 @jit_compile
-def _is_overloaded(settings: SlaveSettings, layout: RigLayout, memory: SlaveMemory) -> bool:
+def _is_overloaded(tick: Tick) -> bool:
     """Return whether a tension exceeds its limit although the gate stops the pull."""
-    if not memory.has_sample:
+    if not tick.memory.has_sample:
         return False
-    limit = OVERLOAD_RATIO * settings.gate.tension_max
-    for i in range(layout.tendons):
-        tendon = memory.tendons[i]
+    limit = OVERLOAD_RATIO * tick.settings.gate.tension_max
+    for i in range(tick.layout.tendons):
+        tendon = tick.memory.tendons[i]
         if tendon.tension > limit or tendon.corrected_tension > limit:
             return True
     return False
 
 
 @jit_compile
-def _update_readiness(
-    settings: SlaveSettings, memory: SlaveMemory, scratch: Scratch, motors_follow: bool
-) -> None:
+def _update_readiness(tick: Tick) -> None:
     """Update the motor positions and whether the rig is usable.
 
     Motors that do not follow yet, as they are being enabled, are where their encoders say.
     """
-    is_measured = initial_position.is_known(memory.initial_position, settings.sample_timeout)
-    if memory.has_gated_position and (motors_follow or not is_measured):
+    memory, scratch = tick.memory, tick.scratch
+    is_measured = initial_position.is_known(memory.initial_position, tick.settings.sample_timeout)
+    if memory.has_gated_position and (tick.given.motors_follow or not is_measured):
         copy_values(memory.gated_position[:], scratch.motor_position[:])
     elif is_measured:
         copy_values(memory.initial_position.position[:], scratch.motor_position[:])
     is_position_known = memory.has_gated_position or is_measured
     if not memory.has_sample:
         memory.readiness = NO_SAMPLE
-    elif not settings.calibrated:
+    elif not tick.settings.calibrated:
         memory.readiness = NOT_CALIBRATED
     else:
         memory.readiness = USABLE if is_position_known else NO_POSITION
 
 
 @jit_compile
-def _copy_command(
-    layout: RigLayout, scratch: Scratch, command: Command, tick_input: TickInput
-) -> bool:
+def _copy_command(tick: Tick) -> bool:
     """Copy the commanded joint motion; return whether motion is commanded."""
+    scratch, command, given = tick.scratch, tick.command, tick.given
     scratch.requested[:] = 0.0
     scratch.tip_velocity[:] = 0.0
-    is_commanded = tick_input.has_command and tick_input.fresh and command.state == State.ENGAGED
+    is_commanded = given.has_command and given.fresh and command.state == State.ENGAGED
     if is_commanded:
-        for k in range(layout.joints):
+        for k in range(tick.layout.joints):
             scratch.requested[k] = command.position[k]
             scratch.tip_velocity[k] = command.velocity[k]
     return is_commanded
 
 
 @jit_compile
-def _advance_session(
-    settings: SlaveSettings,
-    layout: RigLayout,
-    memory: SlaveMemory,
-    scratch: Scratch,
-    command: Command,
-    tick_input: TickInput,
-) -> None:
+def _advance_session(tick: Tick) -> None:
     """Advance the session by one tick, from the master's state and the faults of this side."""
+    memory, command, given = tick.memory, tick.command, tick.given
     master_state: int = State.OFF
-    if tick_input.has_command:
+    if given.has_command:
         master_state = state_machine.to_known_state(command.state)
-    fault = tick_input.fault
+    fault = given.fault
     if fault == Reason.NONE:
-        fault = _find_local_fault(settings, layout, memory, scratch)
-    has_mismatch = tick_input.has_command and coupling.has_settings_mismatch(
-        settings.bilateral, command.coupling
+        fault = _find_local_fault(tick)
+    has_mismatch = given.has_command and coupling.has_settings_mismatch(
+        tick.settings.bilateral, command.coupling
     )
-    inputs = scratch.inputs
+    inputs = tick.scratch.inputs
     inputs.usable = memory.readiness == USABLE
-    inputs.peer_fresh = tick_input.fresh
+    inputs.peer_fresh = given.fresh
     inputs.peer_state = master_state
     inputs.engage = state_machine.is_switch_closed(master_state)
     inputs.fault = fault
     inputs.clutch = master_state == State.CLUTCHED
-    inputs.stop = tick_input.stop
-    inputs.reset = tick_input.reset
-    inputs.link, inputs.link_holds = tick_input.link, tick_input.link_holds
+    inputs.stop = given.stop
+    inputs.reset = given.reset
+    inputs.link, inputs.link_holds = given.link, given.link_holds
     inputs.not_ready_reason = Reason.COUPLING_DIFFERS if has_mismatch else Reason.NONE
     is_degraded = memory.degradation.ramp > 0.0
     inputs.degraded = Reason.CALIBRATION_DUE if is_degraded else Reason.NONE
     inputs.peer = 0
-    if tick_input.has_command:
+    if given.has_command:
         inputs.peer = command.sender
-    state_machine.step(memory.session, inputs, tick_input.dt)
+    state_machine.step(memory.session, inputs, given.dt)
 
 
 @jit_compile
-def _find_local_fault(
-    settings: SlaveSettings, layout: RigLayout, memory: SlaveMemory, scratch: Scratch
-) -> int:
+def _find_local_fault(tick: Tick) -> int:
     """Return the Reason of a fault on this side."""
+    settings, memory, scratch = tick.settings, tick.memory, tick.scratch
     if memory.has_sample and memory.sample_age > settings.sample_timeout:
         return Reason.SAMPLES_FROZEN if memory.motors.repeated else Reason.SAMPLES_STALE
     if memory.overload > OVERLOAD_S:
@@ -473,7 +457,7 @@ def _find_local_fault(
         return memory.detected_fault
     if memory.advice == Advice.DEMANDED and not settings.degrades:
         return Reason.CALIBRATION_DUE
-    for k in range(layout.joints):
+    for k in range(tick.layout.joints):
         if not (
             abs(scratch.requested[k]) < MOTION_MAX and abs(scratch.tip_velocity[k]) < MOTION_MAX
         ):
@@ -482,19 +466,12 @@ def _find_local_fault(
 
 
 @jit_compile
-def _apply_coupling(
-    settings: SlaveSettings,
-    layout: RigLayout,
-    memory: SlaveMemory,
-    scratch: Scratch,
-    command: Command,
-    tick_input: TickInput,
-    commanded: bool,
-    engaged: bool,
-) -> None:
+def _apply_coupling(tick: Tick, commanded: bool, engaged: bool) -> None:
     """Replace the commanded tip motion in `scratch` by what the bilateral coupling makes of it."""
-    if not tick_input.has_command:
+    if not tick.given.has_command:
         return
+    settings, layout, memory = tick.settings, tick.layout, tick.memory
+    scratch, command = tick.scratch, tick.command
     energy: Any = command.energy
     wave: Any = command.wave
     coupling.receive_totals(memory.coupling, command.sender, energy, wave)
@@ -515,7 +492,7 @@ def _apply_coupling(
         scratch.force,
         layout.joints if commanded else 0,
         engaged,
-        tick_input.dt,
+        tick.given.dt,
         degraded_mode.compute_speed_max(settings.monitor, memory.degradation),
     )
 
@@ -586,19 +563,13 @@ def compute_rendered_forces(
 
 
 @jit_compile
-def _command_motors(
-    settings: SlaveSettings,
-    layout: RigLayout,
-    memory: SlaveMemory,
-    scratch: Scratch,
-    engaged: bool,
-    tick_input: TickInput,
-) -> int:
+def _command_motors(tick: Tick, engaged: bool) -> int:
     """Compute the motor targets and apply the gate; hold unless `engaged`, or probing."""
-    moving, dt = engaged and tick_input.motors_follow, tick_input.dt
-    _compute_motor_targets(settings, layout, memory, scratch, moving, dt)
+    settings, layout, memory, scratch = tick.settings, tick.layout, tick.memory, tick.scratch
+    moving = engaged and tick.given.motors_follow
+    _compute_motor_targets(tick, moving)
     if settings.probing.enabled:
-        is_probing = _probe_sheaths(settings, layout, memory, scratch, tick_input)
+        is_probing = _probe_sheaths(tick)
         moving = moving or is_probing
     if moving:
         gate.compute_reaches(settings.gate, layout, memory.joints, memory.reach)
@@ -611,7 +582,7 @@ def _command_motors(
         scratch.tension,
         memory.sample_age,
         moving,
-        dt,
+        tick.given.dt,
         memory.reach,
         moving,
         state_machine.may_yield(memory.session),
@@ -620,44 +591,33 @@ def _command_motors(
 
 
 @jit_compile
-def _compute_motor_targets(
-    settings: SlaveSettings,
-    layout: RigLayout,
-    memory: SlaveMemory,
-    scratch: Scratch,
-    moving: bool,
-    dt: float,
-) -> None:
+def _compute_motor_targets(tick: Tick, moving: bool) -> None:
     """Write the targets [m] of the controller, or of one of a package of one's own."""
+    memory, scratch = tick.memory, tick.scratch
     if scratch.has_own_target:
         copy_values(scratch.own_target[:], scratch.motor_target[:])
         return
     control.step(
-        settings.control,
-        layout,
+        tick.settings.control,
+        tick.layout,
         memory.control,
         scratch.requested,
         scratch.tip_velocity,
         scratch.motor_position,
         memory.tendons,
         moving,
-        dt,
+        tick.given.dt,
         scratch.motor_target,
     )
 
 
 @jit_compile
-def _probe_sheaths(
-    settings: SlaveSettings,
-    layout: RigLayout,
-    memory: SlaveMemory,
-    scratch: Scratch,
-    tick_input: TickInput,
-) -> bool:
+def _probe_sheaths(tick: Tick) -> bool:
     """Replace the target of a tendon that is probed; return whether there is one."""
-    dt = tick_input.dt
+    settings, layout, memory, scratch = tick.settings, tick.layout, tick.memory, tick.scratch
+    dt = tick.given.dt
     probing.track_pulls(settings.probed, layout, memory.probe, memory.tendons, dt)
-    may_probe = state_machine.may_probe(memory.session) and tick_input.motors_follow
+    may_probe = state_machine.may_probe(memory.session) and tick.given.motors_follow
     return probing.step(
         settings.probing,
         settings.probed,
@@ -683,26 +643,20 @@ def _copy_largest_tensions(layout: RigLayout, memory: SlaveMemory, scratch: Scra
 
 
 @jit_compile
-def _fill_state(
-    settings: SlaveSettings,
-    layout: RigLayout,
-    memory: SlaveMemory,
-    command: Command,
-    tick_input: TickInput,
-    out: SlaveState,
-) -> None:
+def _fill_state(tick: Tick, out: SlaveState) -> None:
     """Fill the state message, except for its head."""
+    settings, memory = tick.settings, tick.memory
     state: Any = out
     state.answer_ns = 0  # filled in by the sender
     state.state, state.reason = memory.session.state, memory.session.reason
     state.stops = memory.session.stops
-    state.echo_stamp_ns = command.stamp_ns if tick_input.has_command else 0
+    state.echo_stamp_ns = tick.command.stamp_ns if tick.given.has_command else 0
     state.coupling = settings.bilateral.signature
     state.probing = memory.probe.tendon + 1
     state.force_reduction = degraded_mode.compute_force_reduction(
         settings.monitor, memory.degradation
     )
-    state.joints = layout.joints if memory.has_sample else 0
+    state.joints = tick.layout.joints if memory.has_sample else 0
     state.sample_age_ns = round(memory.sample_age * 1e9) if memory.has_sample else 0
     for k in range(MAX_JOINTS):
         port = memory.coupling.ports[k]
