@@ -67,6 +67,17 @@ class TickInput(NamedTuple):
     link_holds: bool = False  # whether the session must hold because of it
 
 
+class Tick(NamedTuple):
+    """The records of a phase that its steps share."""
+
+    settings: MasterSettings
+    memory: MasterMemory
+    hand: HandInput
+    mapped_hand: HandInput
+    state: SlaveState
+    given: TickInput
+
+
 def init_master(axes: int, now_ns: int, joints: int | None = None) -> StructArray:
     """Return the initial state as an array of one `MasterMemory`.
 
@@ -109,8 +120,9 @@ def compute_command(
     settings, memory, out = settings_records[0], memories[0], commands[0]
     hand, state, inputs, dt = hands[0], states[0], memory.inputs, tick_input.dt
     mapped_hand = mapped_hands[0]
+    tick = Tick(settings, memory, hand, mapped_hand, state, tick_input)
     wanted_forces = np.zeros(MAX_JOINTS)
-    is_finite = _compute_wanted_forces(settings, memory, tick_input, state, wanted_forces)
+    is_finite = _compute_wanted_forces(tick, wanted_forces)
     workspace.update_presence(settings.operator, memory.presence, hand, dt)
 
     inputs.usable = hand.present
@@ -121,7 +133,7 @@ def compute_command(
     if tick_input.stop == Reason.NONE and hand.stop:
         inputs.stop = Reason.EMERGENCY_STOP
     inputs.follow_s = state_machine.FOLLOW_LIMIT_S + settings.delay_max
-    _step_session(settings, memory, hand, mapped_hand, state, tick_input, is_finite, dt)
+    _step_session(tick, is_finite, dt)
     memory.may_render = state_machine.may_render(memory.session)
     memory.has_counted_work = memory.may_render and is_finite
 
@@ -138,7 +150,7 @@ def compute_command(
         position,
         velocity,
     )
-    _receive_state(settings, memory, tick_input, state, wanted_forces)
+    _receive_state(tick, wanted_forces)
     coupling_adapter.add_hand_work(
         settings.bilateral,
         memory.coupling,
@@ -151,7 +163,7 @@ def compute_command(
         memory.has_counted_work,
         dt,
     )
-    _fill_command(settings, memory, tick_input, state, out)
+    _fill_command(tick, out)
 
 
 @jit_compile
@@ -191,21 +203,21 @@ def compute_force(
     int
         The bits of a `gate.GateFlags`.
     """
-    settings, memory, state = settings_records[0], memories[0], states[0]
-    hand, velocity_map, dt = hands[0], maps[0], tick_input.dt
+    settings, memory, state, velocity_map = settings_records[0], memories[0], states[0], maps[0]
+    tick = Tick(settings, memory, hands[0], mapped_hands[0], state, tick_input)
     forces = _init_force_parts()
-    is_finite = _compute_wanted_forces(settings, memory, tick_input, state, forces.wanted)
+    is_finite = _compute_wanted_forces(tick, forces.wanted)
     fresh = is_fresh(settings, tick_input, state)
     if new_state:
-        _receive_state(settings, memory, tick_input, state, forces.wanted)
+        _receive_state(tick, forces.wanted)
         memory.inputs.link, memory.inputs.link_holds = tick_input.link, tick_input.link_holds
     if new_state or fresh != memory.inputs.peer_fresh:
         memory.inputs.reset = False  # already processed
-        _step_session(settings, memory, hand, mapped_hands[0], state, tick_input, is_finite, 0.0)
+        _step_session(tick, is_finite, 0.0)
     is_rendering = _is_rendering(memory, is_finite)
-    _compute_coupling_forces(settings, memory, velocity_map, is_rendering, is_finite, dt, forces)
-    _compute_local_forces(settings, memory, hand, velocity_map, is_rendering, forces)
-    verdict = _limit_total_force(settings, memory, forces, fresh, is_rendering, dt, out)
+    _compute_coupling_forces(tick, velocity_map, is_rendering, is_finite, forces)
+    _compute_local_forces(tick, velocity_map, is_rendering, forces)
+    verdict = _limit_total_force(tick, forces, fresh, is_rendering, out)
     _store_forces(settings, memory, velocity_map, forces, out)
     _write_torques(memory, velocity_map, out)
     _record_answer(memory, tick_input, state)
@@ -245,15 +257,10 @@ def _is_rendering(memory: MasterMemory, is_finite: bool) -> bool:
 
 @jit_compile
 def _compute_coupling_forces(
-    settings: MasterSettings,
-    memory: MasterMemory,
-    velocity_map: VelocityMap,
-    is_rendering: bool,
-    is_finite: bool,
-    dt: float,
-    forces: ForceParts,
+    tick: Tick, velocity_map: VelocityMap, is_rendering: bool, is_finite: bool, forces: ForceParts
 ) -> None:
     """Write what the coupling admits of the wanted forces, along the joints and on the hand."""
+    settings, memory = tick.settings, tick.memory
     coupling_adapter.render_force(
         settings.bilateral,
         memory.coupling,
@@ -272,7 +279,7 @@ def _compute_coupling_forces(
             forces.joint,
             memory.axes,
             memory.joints,
-            dt,
+            tick.given.dt,
         )
     hand_map.compute_hand_force(
         velocity_map, forces.joint, memory.axes, memory.joints, forces.coupling
@@ -285,17 +292,13 @@ def _compute_coupling_forces(
 
 @jit_compile
 def _compute_local_forces(
-    settings: MasterSettings,
-    memory: MasterMemory,
-    hand: HandInput,
-    velocity_map: VelocityMap,
-    is_rendering: bool,
-    forces: ForceParts,
+    tick: Tick, velocity_map: VelocityMap, is_rendering: bool, forces: ForceParts
 ) -> None:
     """Write the forces of this side alone: walls, virtual fixtures, weight compensation.
 
     They act without delay.
     """
+    settings, memory, hand = tick.settings, tick.memory, tick.hand
     workspace.update_limits(settings.operator, memory.limits, hand, is_rendering)
     if is_rendering and hand.present:
         workspace.compute_wall_forces(
@@ -311,15 +314,10 @@ def _compute_local_forces(
 
 @jit_compile
 def _limit_total_force(
-    settings: MasterSettings,
-    memory: MasterMemory,
-    forces: ForceParts,
-    fresh: bool,
-    is_rendering: bool,
-    dt: float,
-    out: Array,
+    tick: Tick, forces: ForceParts, fresh: bool, is_rendering: bool, out: Array
 ) -> int:
     """Add the parts and apply the limits of rendering and the gate; return its `GateFlags`."""
+    settings, memory, dt = tick.settings, tick.memory, tick.given.dt
     total = np.zeros(MAX_JOINTS)
     for k in range(memory.axes):
         # the tips' force as the slave limits it, then of this device
@@ -387,34 +385,21 @@ def compute_tip_forces(
 
 
 @jit_compile
-def _compute_wanted_forces(
-    settings: MasterSettings,
-    memory: MasterMemory,
-    tick_input: TickInput,
-    state: SlaveState,
-    out: Array,
-) -> bool:
+def _compute_wanted_forces(tick: Tick, out: Array) -> bool:
     """Write the wanted forces on the hand [N] to `out`; return whether all are finite."""
-    feedback.compute_tip_forces(settings.bilateral, state, tick_input.has_state, memory.joints, out)
-    for k in range(memory.joints):
+    settings, joints = tick.settings, tick.memory.joints
+    feedback.compute_tip_forces(settings.bilateral, tick.state, tick.given.has_state, joints, out)
+    for k in range(joints):
         out[k] = feedback.reflect_force(settings.force.scale, out[k])
-    return is_all_finite(out, memory.joints)
+    return is_all_finite(out, joints)
 
 
 @jit_compile
-def _step_session(
-    settings: MasterSettings,
-    memory: MasterMemory,
-    hand: HandInput,
-    mapped_hand: HandInput,
-    state: SlaveState,
-    tick_input: TickInput,
-    is_finite: bool,
-    dt: float,
-) -> None:
+def _step_session(tick: Tick, is_finite: bool, dt: float) -> None:
     """Step the session with hand and peer; `is_finite` refers to the wanted forces."""
+    memory, hand, state, tick_input = tick.memory, tick.hand, tick.state, tick.given
     inputs = memory.inputs
-    inputs.peer_fresh = is_fresh(settings, tick_input, state)
+    inputs.peer_fresh = is_fresh(tick.settings, tick_input, state)
     inputs.peer_state = State.OFF
     inputs.peer = 0
     if tick_input.has_state:
@@ -426,22 +411,15 @@ def _step_session(
     inputs.fault = tick_input.fault
     if tick_input.fault == Reason.NONE and not is_plausible(memory.session, hand, is_finite):
         inputs.fault = Reason.NOT_FINITE
-    inputs.not_ready_reason = find_not_ready_reason(
-        settings, memory, mapped_hand, state, tick_input
-    )
+    inputs.not_ready_reason = find_not_ready_reason(tick)
     state_machine.step(memory.session, inputs, dt)
 
 
 @jit_compile
-def _receive_state(
-    settings: MasterSettings,
-    memory: MasterMemory,
-    tick_input: TickInput,
-    state: SlaveState,
-    wanted_forces: Array,
-) -> None:
+def _receive_state(tick: Tick, wanted_forces: Array) -> None:
     """Process energy, waves and tips of the newest state, which asks for `wanted_forces` [N]."""
-    if not tick_input.has_state:
+    settings, memory, state = tick.settings, tick.memory, tick.state
+    if not tick.given.has_state:
         return
     energy: Any = state.energy
     wave: Any = state.wave
@@ -458,18 +436,13 @@ def _receive_state(
 
 
 @jit_compile
-def _fill_command(
-    settings: MasterSettings,
-    memory: MasterMemory,
-    tick_input: TickInput,
-    state: SlaveState,
-    out: Command,
-) -> None:
+def _fill_command(tick: Tick, out: Command) -> None:
     """Fill in a command except for its head and the tip motion."""
+    settings, memory = tick.settings, tick.memory
     fields: Any = out
     fields.state = memory.session.state
     fields.reason = memory.session.reason
-    fields.echo_stamp_ns = state.stamp_ns if tick_input.has_state else 0
+    fields.echo_stamp_ns = tick.state.stamp_ns if tick.given.has_state else 0
     fields.stops = memory.session.stops
     fields.coupling = settings.bilateral.signature
     fields.force_max = feedback.compute_saturation(settings.force)
@@ -538,20 +511,15 @@ def is_switch_closed(session: Session, hand: HandInput, presence: Presence) -> b
 
 
 @jit_compile
-def find_not_ready_reason(
-    settings: MasterSettings,
-    memory: MasterMemory,
-    hand: HandInput,
-    state: SlaveState,
-    tick_input: TickInput,
-) -> int:
+def find_not_ready_reason(tick: Tick) -> int:
     """Return why this side must not engage, `Reason.NONE` if it may."""
-    if tick_input.has_state and coupling.has_settings_mismatch(settings.bilateral, state.coupling):
+    settings, state, has_state = tick.settings, tick.state, tick.given.has_state
+    if has_state and coupling.has_settings_mismatch(settings.bilateral, state.coupling):
         return Reason.COUPLING_DIFFERS
-    if memory.presence.is_away:
+    if tick.memory.presence.is_away:
         return Reason.HAND_AWAY
     return operator.find_not_ready_reason(
-        settings.operator, memory.operator, hand, state, tick_input.has_state
+        settings.operator, tick.memory.operator, tick.mapped_hand, state, has_state
     )
 
 
