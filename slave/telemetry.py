@@ -11,7 +11,6 @@ from slave import state_messages
 from slave.adaptation import ShapeChange, ShapeWatch, compute_friction
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice
-from slave.calibration.procedure_state import format_tendon_name
 from slave.calibration.run import ProcedureProgress
 from slave.loop import RigModel, SlaveRecords
 from slave.loop_records import NOT_CALIBRATED, NOT_READY_TEXT, SlaveMemory
@@ -186,8 +185,7 @@ def build_progress_printer(rig: Rig) -> Callable[[ProcedureProgress], None]:
         if progress.time_s < due_s:
             return
         due_s = progress.time_s + PROGRESS_S
-        count = len(rig.joints[progress.joint - 1])
-        tendon = format_tendon_name(progress.joint, count, progress.side % count)
+        tendon = progress.format_tendon(rig)
         tension = " and ".join(f"{t:z.1f}" for t in progress.tension)
         print(
             f"calibrating {rig.name}: {progress.done:.0%}, {tendon}: {progress.phase.text}, "

@@ -18,7 +18,7 @@ when the sheaths have been moved. Method and error messages: docs/how-to/calibra
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +27,6 @@ from typing import Any
 from slave.calibration import file
 from slave.calibration.file import Calibration, TendonCalibration, ValueWithUncertainty
 from slave.calibration.initialisation import InitialiseResult, initialise
-from slave.calibration.procedure_state import format_tendon_name
 from slave.calibration.record import ProcedureData
 from slave.calibration.run import (
     CalibrationInterrupted,
@@ -43,7 +42,7 @@ from slave.rigs.simulated import SimulatedRigConfig, remove_obstacles
 from teleop.config.loading import ConfigDocument
 from teleop.config.options import add_option, add_options
 from teleop.errors import UsageError
-from teleop.runtime.clock import Grid, Tick, now_ns
+from teleop.runtime.clock import Grid, now_ns
 from teleop.runtime.compiling import announce_compilation
 from teleop.runtime.output_file import (
     FIGURE_SUFFIXES,
@@ -123,9 +122,14 @@ def main(args: argparse.Namespace) -> int:
         out = args.out or parse_output(UpdatedFile(), "--out", f"{rig.name}-calibration.yaml")
         joints = select_joints(args.joint, len(rig.joints))
         replaced = load_replaced_calibration(out, args.config, args.force)
-        require_other_file(args.figure, out)
+        if args.figure is not None and args.figure.resolve() == out.resolve():
+            raise UsageError(
+                f"{args.figure}: this is the calibration; choose another file with --figure"
+            )
         earlier = replaced or load_earlier_calibration(config, required=bool(joints))
-        start_ns, ticks = start_ticks(shared.rate_hz, is_real)
+        start_ns, ticks = 0, generate_fast_ticks(shared.rate_hz)
+        if is_real:
+            start_ns, ticks = now_ns(), iter(Grid(shared.rate_hz, lambda: False))
         try:
             result = initialise(
                 rig,
@@ -183,12 +187,6 @@ def load_replaced_calibration(out: Path, config: Path | None, force: bool) -> Ca
         ) from error
 
 
-def require_other_file(figure: Path | None, out: Path) -> None:
-    """Raise `UsageError` if the figure would overwrite the calibration."""
-    if figure is not None and figure.resolve() == out.resolve():
-        raise UsageError(f"{figure}: this is the calibration; choose another file with --figure")
-
-
 def load_earlier_calibration(config: SlaveConfig, required: bool) -> Calibration | None:
     """Return the calibration that the config names, None if it cannot be read.
 
@@ -205,13 +203,6 @@ def load_earlier_calibration(config: SlaveConfig, required: bool) -> Calibration
         return None
 
 
-def start_ticks(rate_hz: float, is_real: bool) -> tuple[int, Iterator[Tick]]:
-    """Return the start of session time [ns] and the ticks: real time except for simulated rigs."""
-    if not is_real:
-        return 0, generate_fast_ticks(rate_hz)
-    return now_ns(), iter(Grid(rate_hz, lambda: False))
-
-
 def build_progress_bar(rig: Rig) -> Callable[[ProcedureProgress], None]:
     """Return a callback that updates a progress bar on the terminal."""
     next_s = 0.0
@@ -221,7 +212,7 @@ def build_progress_bar(rig: Rig) -> Callable[[ProcedureProgress], None]:
         if progress.time_s < next_s:
             return
         next_s = progress.time_s + BAR_PERIOD_S
-        tendon = _format_pulled_tendon(rig, progress)
+        tendon = progress.format_tendon(rig)
         bar = "#" * round(BAR_WIDTH * progress.done)
         tension = " ".join(f"{t:5.1f}" for t in progress.tension)
         line = (
@@ -243,7 +234,7 @@ def build_progress_printer(rig: Rig) -> Callable[[ProcedureProgress], None]:
         if place == at and progress.time_s < next_s:
             return
         next_s, at = progress.time_s + LINE_PERIOD_S, place
-        where = _format_pulled_tendon(rig, progress)
+        where = progress.format_tendon(rig)
         print(
             f"{progress.time_s:6.1f} s  {progress.done:4.0%}  {where}: {progress.phase.text}",
             file=sys.stderr,
@@ -251,11 +242,6 @@ def build_progress_printer(rig: Rig) -> Callable[[ProcedureProgress], None]:
         )
 
     return note
-
-
-def _format_pulled_tendon(rig: Rig, progress: ProcedureProgress) -> str:
-    count = len(rig.joints[progress.joint - 1])
-    return format_tendon_name(progress.joint, count, progress.side % count)
 
 
 def import_draw_figure() -> Callable[[ProcedureData, Calibration], Any]:

@@ -24,6 +24,7 @@ from slave.calibration.procedure_state import (
     Phase,
     ProcedureState,
     StopContact,
+    format_tendon_name,
 )
 from slave.calibration.record import ProcedureData, ProcedureLog
 from slave.gate import GateConfig, GateFlags
@@ -67,6 +68,11 @@ class ProcedureProgress(NamedTuple):
     side: int  # the tendon that is pulled
     done: float  # fraction of the whole, 0 to 1
     tension: tuple[float, ...]  # [N] of the joint's tendons
+
+    def format_tendon(self, rig: Rig) -> str:
+        """Return the name of the tendon that is pulled."""
+        count = len(rig.joints[self.joint - 1])
+        return format_tendon_name(self.joint, count, self.side % count)
 
 
 class ProcedureResult(NamedTuple):
@@ -189,11 +195,7 @@ class _ProcedureRun:
         is_located = self.newest is not None and bool(self._motor)
         if not (is_located and self._motors_follow):
             if order:
-                raise (
-                    CalibrationInterrupted(order)
-                    if self._interrupted
-                    else CalibrationRefused(order)
-                )
+                raise self._build_refusal(order)
             if is_located:
                 self._write(self._motor, dt)  # enables the motors where they are
             return
@@ -235,16 +237,15 @@ class _ProcedureRun:
         """Return the measurements, or raise the reason of the abort."""
         refusal = next((m.refusal for m in self._memories if m.refusal), "")
         if refusal:
-            raise (
-                CalibrationInterrupted(refusal)
-                if self._interrupted
-                else CalibrationRefused(refusal)
-            )
+            raise self._build_refusal(refusal)
         return ProcedureResult(
             self._log.record(self._rig.joints, self._stops, self._travels),
             tuple(self._log.samples),
             self._motor,
         )
+
+    def _build_refusal(self, reason: str) -> CalibrationRefused:
+        return (CalibrationInterrupted if self._interrupted else CalibrationRefused)(reason)
 
     def _read(self, time_s: float, dt: float) -> None:
         try:

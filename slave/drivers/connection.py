@@ -5,6 +5,7 @@ import select
 import socket
 import subprocess
 import time
+from collections.abc import Iterator
 
 from slave.drivers import packets
 from slave.drivers.configs import DriverConfig
@@ -73,15 +74,21 @@ class DriverProcess:
         """Process id of the driver."""
         return self._process.pid
 
-    def _drain(self) -> None:
-        """Read what the driver still sends, its counts, until it ends."""
-        until_s = time.monotonic() + END_S
+    def _await_packets(self, span_s: float) -> Iterator[bytes]:
+        """Yield the packets that come within a time."""
+        until_s = time.monotonic() + span_s
         while (left_s := until_s - time.monotonic()) > 0.0:
             select.select([self._end], [], [], left_s)
             packet = packets.receive_packet(self._end)
-            if packet == b"":
+            if packet is not None:
+                yield packet
+
+    def _drain(self) -> None:
+        """Read what the driver still sends, its counts, until it ends."""
+        for packet in self._await_packets(END_S):
+            if not packet:
                 return
-            if packet is not None and packet[:1] == packets.COUNTS:
+            if packet[:1] == packets.COUNTS:
                 self.counts = json.loads(packet[1:])
 
     def _send(self, packet: bytes) -> None:
@@ -94,14 +101,10 @@ class DriverProcess:
             raise DriverFault(f"{self._place}: the driver's process has ended") from None
 
     def _await_ready(self) -> None:
-        until_s = time.monotonic() + START_S
-        while (left_s := until_s - time.monotonic()) > 0.0:
-            select.select([self._end], [], [], left_s)
-            packet = packets.receive_packet(self._end)
+        for packet in self._await_packets(START_S):
             if packet == packets.READY:
                 return
-            if packet is not None:
-                self._take(packet)
+            self._take(packet)
         raise DriverFault(f"{self._place}: not ready within {START_S:g} s")
 
     def _take(self, packet: bytes) -> None:

@@ -60,7 +60,8 @@ class Aligner:
             self._last_s = time_s
             self.worst_s = max(self.worst_s, distance_s)
             yield (time_s, fast_values, value) if by_cells else (time_s, value, fast_values)
-        fast.forget(self._last_s)
+        for _ in fast.take_until(self._last_s):  # none of them waits any longer
+            pass
 
 
 class _ReadingStream:
@@ -92,11 +93,6 @@ class _ReadingStream:
         """Take the waiting readings up to a time."""
         while self._waiting and self._waiting[0][0] <= time_s:
             yield self._waiting.popleft()
-
-    def forget(self, time_s: float) -> None:
-        """Drop the waiting readings up to a time."""
-        while self._waiting and self._waiting[0][0] <= time_s:
-            self._waiting.popleft()
 
     def interpolate(self, time_s: float) -> tuple[Counts, float] | None:
         """Return the values at a time, and its distance [s] to the nearer reading."""
@@ -281,10 +277,11 @@ class HardwareRig:
         listed = list_cells(config.tendons)
         self._loops = [[listed.index(cell) for cell in t.loop] for t in config.tendons]
         self._aligner = Aligner() if config.cells is not None else None
-        self._buses: list[DriverProcess] = []
+        self.buses: list[DriverProcess] = []  # of the motors, and of the cells if that is another
         self._position: Array | None = None  # [m] newest of every motor
         self._position_s = 0.0  # when it was sampled
-        self._counts: tuple[Counts, Counts] | None = None  # newest, of motors and cells
+        # newest positions and cell readings, as they came from the buses
+        self.counts: tuple[Counts, Counts] | None = None
         self.follows = False
         self._enabled = False  # whether the motors were given targets, and no stop since
         self._target: Counts = np.empty(0)  # newest
@@ -294,10 +291,10 @@ class HardwareRig:
         motors, cells = config.motor_ids, config.cell_ids
         try:
             if config.cells is None:
-                self._buses = [DriverProcess(config.motors, Channels(motors, cells, read_only))]
+                self.buses = [DriverProcess(config.motors, Channels(motors, cells, read_only))]
             else:
-                self._buses.append(DriverProcess(config.motors, Channels(motors, (), read_only)))
-                self._buses.append(DriverProcess(config.cells, Channels((), cells, read_only)))
+                self.buses.append(DriverProcess(config.motors, Channels(motors, (), read_only)))
+                self.buses.append(DriverProcess(config.cells, Channels((), cells, read_only)))
         except DriverFault as fault:
             self.close()
             raise RigFault(str(fault)) from fault
@@ -315,7 +312,7 @@ class HardwareRig:
             loops = self._read_loops(tension)
             housing = sampled_s - self._start_s, tension[: self.tendons], displacement
             samples.append(RigSample(*housing, None, None, *loops))
-            self._counts = (position, cell)
+            self.counts = (position, cell)
             if np.all(np.isfinite(displacement)):
                 self._position, self._position_s = displacement, sampled_s
         self._samples += len(samples)
@@ -339,7 +336,7 @@ class HardwareRig:
     def announce_pause(self) -> None:
         """Have the driver hold the newest targets through one pause of the loop."""
         try:
-            self._buses[0].announce_pause()
+            self.buses[0].announce_pause()
         except DriverFault as fault:
             raise RigFault(str(fault)) from fault
 
@@ -347,7 +344,7 @@ class HardwareRig:
         """Stop the motors by their own means; the next `write` enables them again."""
         self.follows = self._enabled = False
         try:
-            self._buses[0].stop()
+            self.buses[0].stop()
         except DriverFault as fault:
             raise RigFault(str(fault)) from fault
 
@@ -359,24 +356,14 @@ class HardwareRig:
         figures: dict[str, int | float | str] = {"samples": self._samples, "late": self._late}
         if self._aligner is not None:
             figures["alignment_error_ms"] = round(self._aligner.worst_s * 1e3, 3)
-        for name, bus in zip(("motors", "cells"), self._buses, strict=False):
+        for name, bus in zip(("motors", "cells"), self.buses, strict=False):
             figures |= {f"{name}_{key}": value for key, value in bus.counts.items()}
         return figures
 
     def close(self) -> None:
         """Let the drivers stop their motors and release their buses."""
-        for bus in self._buses:
+        for bus in self.buses:
             bus.close()
-
-    @property
-    def counts(self) -> tuple[Counts, Counts] | None:
-        """Newest positions and cell readings [counts], as they came from the buses."""
-        return self._counts
-
-    @property
-    def buses(self) -> tuple[DriverProcess, ...]:
-        """Connections to the drivers: of the motors, and of the cells if that is another."""
-        return tuple(self._buses)
 
     def _read_loops(self, tension: Array) -> Sequence[Array | None]:
         """Return the tensions [N] at the moved and the held ends of the sensing loops."""
@@ -387,13 +374,13 @@ class HardwareRig:
 
     def _send(self, target: Counts) -> None:
         try:
-            self._buses[0].write(target)
+            self.buses[0].write(target)
         except DriverFault as fault:
             raise RigFault(str(fault)) from fault
 
     def _take_reading(self) -> Sequence[tuple[float, Counts, Counts]]:
         try:
-            readings = [bus.read() for bus in self._buses]
+            readings = [bus.read() for bus in self.buses]
         except DriverFault as fault:
             raise RigFault(str(fault)) from fault
         if readings[0]:

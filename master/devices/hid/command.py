@@ -18,7 +18,7 @@ import platform
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
@@ -241,15 +241,12 @@ def probe_device(item: AttachedNode, watched_s: float) -> list[str]:
 
 def measure_report_rate(item: AttachedNode, watched_s: float) -> str:
     """Count the reports of a device for some time; return the result as text."""
-    node = Node(item.path, str(item))
-    try:
+    with closing(Node(item.path, str(item))) as node:
         node.drain()
         start, times = time.monotonic(), list[float]()
         while (now := time.monotonic()) - start < watched_s:
             times += [now] * len(node.drain())
             time.sleep(_POLL_PERIOD_S / 10.0)
-    finally:
-        node.close()
     if len(times) < 2:
         return f"{len(times)} reports in {watched_s:.1f} s: some devices report only while moved"
     span = times[-1] - times[0]

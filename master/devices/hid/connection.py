@@ -117,10 +117,9 @@ class Writer:
         finally:  # also after a bug: no force must remain
             if not self._ending and self.failure is None:
                 self.failure = DeviceFault("the driver failed; no forces are written")
-            for report in self._driver.silence():
-                with suppress(DeviceFault):  # a device that failed once may still accept it
-                    self._node.write(report)
-            self._await_end()
+            _remove_force(self._node, self._driver)
+            with self._changed:
+                self._changed.wait_for(lambda: self._ending)
             self._node.close()
 
     def _write_posts(self) -> None:
@@ -148,10 +147,6 @@ class Writer:
             self._changed.wait_for(lambda: self._posted is not None or self._ending, patience_s)
             posted, self._posted = self._posted, None
             return posted
-
-    def _await_end(self) -> None:
-        with self._changed:
-            self._changed.wait_for(lambda: self._ending)
 
 
 # --- an open device: its node, its driver, and its writer thread
@@ -264,7 +259,7 @@ class DeviceConnection:
         return (self._guard is None or self._guard.end()) and is_finished
 
 
-def _remove_force(node: Node, driver: HidDriver) -> None:
+def _remove_force(node: ReportSink, driver: HidDriver) -> None:
     for report in driver.silence():
-        with suppress(DeviceFault):
+        with suppress(DeviceFault):  # a device that failed once may still accept it
             node.write(report)

@@ -8,7 +8,7 @@ above that of any device.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
@@ -239,38 +239,20 @@ class _Parser:
         self._delimited = False
 
     def _parse_global(self, item: _Item) -> None:
-        tag, current = item.tag, self._globals
-        if tag == _PAGE:
-            current = current._replace(page=item.unsigned & 0xFFFF)
-        elif tag == _MINIMUM:
-            current = current._replace(minimum=item.signed)
-        elif tag == _MAXIMUM:
-            current = current._replace(maximum=item.data)
-        elif tag == _PHYSICAL_MINIMUM:
-            current = current._replace(physical_minimum=item.signed)
-        elif tag == _PHYSICAL_MAXIMUM:
-            current = current._replace(physical_maximum=item.data)
-        elif tag == _UNIT:
-            current = current._replace(unit=item.unsigned)
-        elif tag == _EXPONENT:
-            current = current._replace(exponent=_parse_exponent(item))
-        elif tag == _SIZE:
-            if item.unsigned > _SIZE_MAX:
-                raise DescriptorError(f"byte {item.at}: fields of more than {_SIZE_MAX} bits")
-            current = current._replace(size=item.unsigned)
-        elif tag == _COUNT:
-            current = current._replace(repeats=item.unsigned)
-        elif tag == _NUMBER:
-            if not 1 <= item.unsigned <= 255:
-                raise DescriptorError(f"byte {item.at}: a report number that is not 1 ... 255")
-            current = current._replace(number=item.unsigned)
-        elif tag == _PUSH:
-            self._stack.append(current)
+        tag = item.tag
+        if tag in _GLOBALS:
+            name, parse = _GLOBALS[tag]
+            self._globals = self._globals._replace(**{name: parse(item)})
+        if tag == _SIZE and item.unsigned > _SIZE_MAX:
+            raise DescriptorError(f"byte {item.at}: fields of more than {_SIZE_MAX} bits")
+        if tag == _NUMBER and not 1 <= item.unsigned <= 255:
+            raise DescriptorError(f"byte {item.at}: a report number that is not 1 ... 255")
+        if tag == _PUSH:
+            self._stack.append(self._globals)
         elif tag == _POP:
             if not self._stack:
                 raise DescriptorError(f"byte {item.at}: a pop without a push")
-            current = self._stack.pop()
-        self._globals = current
+            self._globals = self._stack.pop()
 
     def _parse_local(self, item: _Item) -> None:
         if item.tag == _DELIMITER:
@@ -403,6 +385,21 @@ def _parse_exponent(item: _Item) -> int:
     """Return a power of ten: four bits by the standard, a whole byte in many devices."""
     value = item.unsigned
     return (value ^ 8) - 8 if value < 16 else item.signed
+
+
+_GLOBALS: dict[int, tuple[str, Callable[[_Item], int | bytes]]] = {
+    _PAGE: ("page", lambda item: item.unsigned & 0xFFFF),
+    _MINIMUM: ("minimum", lambda item: item.signed),
+    _MAXIMUM: ("maximum", lambda item: item.data),
+    _PHYSICAL_MINIMUM: ("physical_minimum", lambda item: item.signed),
+    _PHYSICAL_MAXIMUM: ("physical_maximum", lambda item: item.data),
+    _UNIT: ("unit", lambda item: item.unsigned),
+    _EXPONENT: ("exponent", _parse_exponent),
+    _SIZE: ("size", lambda item: item.unsigned),
+    _COUNT: ("repeats", lambda item: item.unsigned),
+    _NUMBER: ("number", lambda item: item.unsigned),
+}
+"""Field of `_Globals` that a global item sets, and its value."""
 
 
 # --- fields in the bytes of a report

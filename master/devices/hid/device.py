@@ -5,7 +5,7 @@ import os
 import threading
 from collections import Counter
 from collections.abc import Callable
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import NamedTuple
 
 from master.device import Axes, DeviceFault, DeviceLost, HandState
 from master.devices.hid import force_signs, mapping, search
@@ -105,17 +105,7 @@ POLL_PERIOD_S = 0.1  # between two looks
 _FAILURES_REPORTED = 20
 
 
-class Closable(Protocol):
-    """An object that can be closed."""
-
-    def end(self, patience_s: float = 0.0) -> bool:
-        """Close it; return whether that was done in time. May be called again."""
-
-
-T = TypeVar("T", bound=Closable)
-
-
-class DeviceReconnection(Generic[T]):
+class DeviceReconnection:
     """Closes the failed device, then tries `open_again` until it succeeds.
 
     The failed device is closed completely first, so that its last report does not reach the next
@@ -123,8 +113,8 @@ class DeviceReconnection(Generic[T]):
     it is empty while that may only need time.
     """
 
-    def __init__(self, broken: T, open_again: Callable[[], T]) -> None:
-        self.found: T | None = None
+    def __init__(self, broken: "OpenedDevice", open_again: Callable[[], "OpenedDevice"]) -> None:
+        self.found: OpenedDevice | None = None
         self.trouble = ""
         self._broken, self._open = broken, open_again
         self._lock, self._over = threading.Lock(), threading.Event()
@@ -155,7 +145,7 @@ class DeviceReconnection(Generic[T]):
                     self.trouble = str(error) if expected else f"search failed: {error!r}"
             self._over.wait(POLL_PERIOD_S)
 
-    def _keep(self, device: T) -> None:
+    def _keep(self, device: "OpenedDevice") -> None:
         with self._lock:
             if not self._over.is_set():
                 self.found = device
@@ -222,7 +212,7 @@ class HidDevice:
         opened = OpenedDevice(config, self._signs, self._found)
         self.axes = opened.plan.joints
         self._opened: OpenedDevice | None = opened
-        self._seeker: DeviceReconnection[OpenedDevice] | None = None
+        self._seeker: DeviceReconnection | None = None
         self._lost = ""
         self._memory = mapping.init_mapping(self.axes)
         self._time_s = 0.0

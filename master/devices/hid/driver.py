@@ -61,13 +61,6 @@ class ActuatorState(NamedTuple):
         return self._replace(interrupted=0)
 
 
-class InputReports(Protocol):
-    """A device that can be asked for its input reports."""
-
-    def get_input(self, number: int, length: int) -> bytes:
-        """Return input report `number`, at most `length` bytes; `DeviceFault` if it has none."""
-
-
 class _ConditionBit(NamedTuple):
     """One bit of a report."""
 
@@ -94,7 +87,7 @@ class ActuatorReports:
             if flags:
                 self._reports[report.number] = (report.length, flags)
 
-    def ask(self, device: InputReports) -> ActuatorState:
+    def ask(self, device: "ReportAccess") -> ActuatorState:
         """Return the present state; what the device does not answer stays unknown."""
         state = ActuatorState()
         for number, (length, _) in self._reports.items():

@@ -68,9 +68,9 @@ class DriverSpec(NamedTuple):
     heartbeat: float = math.inf  # [s] largest interval between its reports
 
 
-def _find_pid_misfit(_item: AttachedNode, descriptor: bytes) -> str:
+def _try_driver(driver: Callable[[bytes], HidDriver], descriptor: bytes) -> str:
     try:
-        PidDriver(descriptor)
+        driver(descriptor)
     except ValueError as error:  # DescriptorError, DriverError
         return f"by its report descriptor: {error}"
     return ""
@@ -112,11 +112,7 @@ def _find_logitech_misfit(item: AttachedNode, _descriptor: bytes) -> str:
 def _find_joystick_misfit(item: AttachedNode, descriptor: bytes) -> str:
     if not {_JOYSTICK, _GAMEPAD, _MULTI_AXIS} & set(item.usages):
         return "not a joystick or gamepad"
-    try:
-        JoystickDriver(descriptor)
-    except ValueError as error:  # DescriptorError, DriverError
-        return f"by its report descriptor: {error}"
-    return ""
+    return _try_driver(JoystickDriver, descriptor)
 
 
 PID = "pid"
@@ -125,7 +121,8 @@ INPUTS_ONLY = "joystick"  # fallback for devices without a driver of their own
 # in order of preference
 DRIVERS: dict[str, DriverSpec] = {
     PID: DriverSpec(
-        _find_pid_misfit, lambda _, data, config, pushed: PidDriver(data, config, pushed)
+        lambda _, data: _try_driver(PidDriver, data),
+        lambda _, data, config, pushed: PidDriver(data, config, pushed),
     ),
     "ffbeast": DriverSpec(_find_ffbeast_misfit, lambda *_: FFBeastDriver(), forgets=False),
     "dualsense": DriverSpec(

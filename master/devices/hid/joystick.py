@@ -179,27 +179,13 @@ def _group_button_rows(fields: list[ReportField]) -> list[_Buttons]:
     return rows
 
 
-class JoystickDriver:
-    """A `master.devices.hid.driver.HidDriver` that writes nothing to the device.
-
-    `DriverError` if there are no inputs in its descriptor, `DescriptorError`.
-    """
+class ForcelessDriver:
+    """The part of a `master.devices.hid.driver.HidDriver` that writes nothing to the device."""
 
     forces: tuple[str, ...] = ()
 
-    def __init__(self, descriptor: bytes) -> None:
-        inputs = Inputs(parse_descriptor(descriptor))
-        if not inputs.axes and not inputs.buttons:
-            raise DriverError("no axes and no buttons")
-        self.axes, self.buttons = inputs.axes, inputs.buttons
-        self._inputs = inputs
-
     def begin(self, device: ReportAccess) -> None:
         """Nothing to set up."""
-
-    def decode(self, controls: Controls, report: bytes) -> Controls:
-        """Return `controls` updated with `report`."""
-        return self._inputs.decode(controls, report)
 
     def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:  # noqa: ARG002
         """Return nothing: it has no force."""
@@ -208,6 +194,24 @@ class JoystickDriver:
     def silence(self) -> tuple[bytes, ...]:
         """Return nothing."""
         return ()
+
+
+class JoystickDriver(ForcelessDriver):
+    """A device that is read by its report descriptor.
+
+    `DriverError` if there are no inputs in its descriptor, `DescriptorError`.
+    """
+
+    def __init__(self, descriptor: bytes) -> None:
+        inputs = Inputs(parse_descriptor(descriptor))
+        if not inputs.axes and not inputs.buttons:
+            raise DriverError("no axes and no buttons")
+        self.axes, self.buttons = inputs.axes, inputs.buttons
+        self._inputs = inputs
+
+    def decode(self, controls: Controls, report: bytes) -> Controls:
+        """Return `controls` updated with `report`."""
+        return self._inputs.decode(controls, report)
 
 
 # --- 3Dconnexion SpaceMouse: six axes of a spring-centred cap, no force
@@ -237,15 +241,11 @@ _THREE, _SIX = struct.Struct("<3h"), struct.Struct("<6h")
 _BUTTONS = 32
 
 
-class SpaceMouseDriver:
-    """A `master.devices.hid.driver.HidDriver` of six axes for rate control."""
+class SpaceMouseDriver(ForcelessDriver):
+    """Six axes for rate control."""
 
     axes: tuple[str, ...] = ("x", "y", "z", "rx", "ry", "rz")
-    forces: tuple[str, ...] = ()
     buttons = _BUTTONS
-
-    def begin(self, device: ReportAccess) -> None:
-        """Nothing to set up."""
 
     def decode(self, controls: Controls, report: bytes) -> Controls:
         """Return `controls` updated with `report`."""
@@ -260,14 +260,6 @@ class SpaceMouseDriver:
             buttons = int.from_bytes(report[1:5], "little")
             return Controls(controls.axes, buttons, (1 << _BUTTONS) - 1)
         return controls
-
-    def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:  # noqa: ARG002
-        """Return nothing: it has no force."""
-        return ()
-
-    def silence(self) -> tuple[bytes, ...]:
-        """Return nothing."""
-        return ()
 
 
 def _unpack_shares(layout: struct.Struct, report: bytes) -> tuple[Share, ...]:

@@ -4,7 +4,7 @@ import hashlib
 import os
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -141,11 +141,8 @@ def read_descriptor(item: AttachedNode) -> bytes:
     try:
         return (_SYSTEM / Path(item.path).name / "device/report_descriptor").read_bytes()
     except OSError:
-        node = Node(item.path, str(item))
-    try:
-        return node.read_descriptor()
-    finally:
-        node.close()
+        with closing(Node(item.path, str(item))) as node:
+            return node.read_descriptor()
 
 
 def examine_node(item: AttachedNode) -> ExaminedNode:
@@ -343,20 +340,15 @@ def reattach_device(
 
 def is_in_console_mode(item: AttachedNode) -> bool:
     """Return whether this is a wheel to be switched over."""
-    model = (item.vendor, item.product)
-    return model == (wheels.LOGITECH_VENDOR, wheels.G923_CONSOLE) and item.interface <= 0
+    return _is_wheel(item, wheels.G923_CONSOLE)
 
 
 def switch_to_pc_mode(item: AttachedNode) -> None:
     """Send the report; `DeviceFault` if the wheel cannot be opened."""
     if reason := find_access_error(item):
         raise DeviceFault(f"{item}: {reason}")
-    node = Node(item.path, str(item))
-    try:
-        with suppress(DeviceFault):  # it may detach before it acknowledges
-            node.write(wheels.LEAVE_CONSOLE)
-    finally:
-        node.close()
+    with closing(Node(item.path, str(item))) as node, suppress(DeviceFault):
+        node.write(wheels.LEAVE_CONSOLE)  # it may detach before it acknowledges
 
 
 def _has_driver(item: AttachedNode) -> bool:
@@ -364,6 +356,9 @@ def _has_driver(item: AttachedNode) -> bool:
 
 
 def _is_in_pc_mode(item: AttachedNode) -> bool:
+    return _is_wheel(item, wheels.G923) and not find_access_error(item)
+
+
+def _is_wheel(item: AttachedNode, product: int) -> bool:
     model = (item.vendor, item.product)
-    is_wheel = model == (wheels.LOGITECH_VENDOR, wheels.G923) and item.interface <= 0
-    return is_wheel and not find_access_error(item)
+    return model == (wheels.LOGITECH_VENDOR, product) and item.interface <= 0

@@ -245,17 +245,12 @@ def _format_meaning(group: list[ReportField]) -> str:
     count = len(group) if last is not first else first.count
     shape = f"{count} times {bits}" if count > 1 else bits
     words = [name, shape, f"{first.minimum} ... {first.maximum}{_format_unit(first)}"]
-    words += [word for word, true in _list_flags(first) if true]
+    flags = {
+        "constant": first.constant, "relative": first.relative, "may be none": first.nullable
+    }  # fmt: skip
+    words += [word for word, is_set in flags.items() if is_set]
     text = ", ".join(words)
     return f"{text}: {_format_choices(first)}" if first.array else text
-
-
-def _list_flags(field: ReportField) -> tuple[tuple[str, bool], ...]:
-    return (
-        ("constant", field.constant),
-        ("relative", field.relative),
-        ("may be none", field.nullable),
-    )
 
 
 def _format_choices(field: ReportField) -> str:

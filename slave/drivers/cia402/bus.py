@@ -225,11 +225,6 @@ def _read_error_number(error: Exception) -> int | None:
     return next((number for number in numbers if number), of_cause)
 
 
-def is_queue_full(error: Exception) -> bool:
-    """Return whether a frame was refused only because others still wait to be sent."""
-    return _read_error_number(error) == errno.ENOBUFS
-
-
 def skip_damaged_lines(receive: Receive, monitor: BusMonitor) -> Receive:
     """Return a `recv` of python-can that counts what an slcan adapter did not send in full."""
 
@@ -252,7 +247,8 @@ def retry_full_queue(send: Send) -> Send:
             try:
                 return send(message, timeout)
             except (can.CanError, OSError) as error:
-                if not is_queue_full(error) or time.monotonic() > until_s:
+                is_queue_full = _read_error_number(error) == errno.ENOBUFS
+                if not is_queue_full or time.monotonic() > until_s:
                     raise
             time.sleep(RETRY_S)
 

@@ -79,7 +79,7 @@ class MicrocontrollerDriver:
         self._clock = ClockMap()
         self._port: serial.Serial | None = None
         self._claim: socket.socket | None = None
-        self._info: BoardInfo | None = None
+        self.info: BoardInfo | None = None  # what the board said it is, once started
         self._sequence = self._states = 0
         self._heard_s = self._wanted_s = math.inf
         self._errors: deque[tuple[float, int]] = deque([(0.0, 0)])
@@ -93,7 +93,7 @@ class MicrocontrollerDriver:
         self._port, self._claim = open_serial(
             config.port, config.baud, timeout=WAIT_S, write_timeout=0.1
         )
-        self._info = info = self._greet()
+        self.info = info = self._greet()
         for name, expected, count in (
             ("motor", self._channels.motors, info.motors),
             ("cell", self._channels.cells, info.cells),
@@ -123,7 +123,9 @@ class MicrocontrollerDriver:
             self._states += 1
             self._heard_s = now
             self._check(state, now)
-            readings.append(self._build_reading(state, self._clock(frame.time_us, now)))
+            position = _select_channels(state.position, self._channels.motors)
+            cell = _select_channels(state.cell, self._channels.cells)
+            readings.append(Reading(self._clock(frame.time_us, now), position, cell, self._obeyed))
         if now - self._heard_s > self._config.timeout:
             raise DriverFault(
                 f"{self._config.port}: silent for {(now - self._heard_s) * 1e3:.0f} ms"
@@ -158,11 +160,6 @@ class MicrocontrollerDriver:
         self._claim.close()
         self._port = None
 
-    @property
-    def info(self) -> BoardInfo | None:
-        """What the board said it is, once started."""
-        return self._info
-
     def _greet(self) -> BoardInfo:
         until_s, due_s = time.monotonic() + GREETING_S, 0.0
         while (now := time.monotonic()) < until_s:
@@ -194,14 +191,6 @@ class MicrocontrollerDriver:
             return frames.parse_state(frame.body)
         except frames.FrameError as error:
             raise DriverFault(f"{self._config.port}: {error}") from error
-
-    def _build_reading(self, state: BoardState, time_s: float) -> Reading:
-        return Reading(
-            time_s,
-            _select_channels(state.position, self._channels.motors),
-            _select_channels(state.cell, self._channels.cells),
-            self._obeyed,
-        )
 
     def _check(self, state: BoardState, now: float) -> None:
         """Raise `DriverFault` for what the board reports."""
@@ -239,7 +228,7 @@ class MicrocontrollerDriver:
             )
 
     def _send_targets(self, target: Counts | None) -> None:
-        count = self._info.motors if self._info else 0
+        count = self.info.motors if self.info else 0
         if not self._channels.motors:
             return
         values = [frames.MISSING] * count
@@ -256,16 +245,14 @@ class MicrocontrollerDriver:
     def _send(self, kind: FrameType, body: bytes = b"") -> None:
         if self._port is None:
             return
+        self._sequence += 1
         try:
-            self._port.write(self._build_frame(kind, body))
+            time_us = time.monotonic_ns() // 1000
+            self._port.write(frames.encode(kind, self._sequence, time_us, body))
         except (serial.SerialException, OSError) as error:
             raise DriverFault(
                 f"{self._config.port}: unplugged ({format_port_error(error, self._config.port)})"
             ) from error
-
-    def _build_frame(self, kind: FrameType, body: bytes = b"") -> bytes:
-        self._sequence += 1
-        return frames.encode(kind, self._sequence, time.monotonic_ns() // 1000, body)
 
 
 def _select_channels(values: tuple[int, ...], numbers: tuple[int, ...]) -> Counts:
