@@ -84,13 +84,13 @@ class SlaveRecords(NamedTuple):
     adapter: TendonAdapter | None  # None where K stays as calibrated
 
     @property
-    def estimate_arguments(self) -> tuple[Any, ...]:
+    def estimate_arguments(self) -> tuple[Any, Any, Any, Any, Any, Any, Any]:
         """First arguments of `estimate`."""
         estimators = self.prepared, self.estimators, self.memory
         return self.layout, *estimators, self.with_dynamics, self.arm, self.adapter
 
     @property
-    def monitor_arguments(self) -> tuple[Any, ...]:
+    def monitor_arguments(self) -> tuple[Any, Any, Any, Any, Any, Any]:
         """First arguments of `monitor_calibration`."""
         own = self.settings, self.layout, self.monitor_constants, self.memory
         return *own, self.prepared, self.adapter

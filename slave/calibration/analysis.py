@@ -129,26 +129,14 @@ def analyse_procedure(
     K_a + K_b of the sheaths of joints whose tendons pass others. `CalibrationRefused` if the
     measurement is not that of tendons in sheaths pulled against end stops.
     """
-    earlier_ranges = [*ranges, *[None] * len(record.joints)]
-    return tuple(
-        _analyse_joint(record, config, j, earlier_ranges[j], sums.get(j))
-        for j in range(len(record.joints))
-        if record.stops[j]
-    )
-
-
-def _analyse_joint(
-    record: ProcedureData,
-    config: InitialiseConfig,
-    j: int,
-    earlier_range: float | None,
-    total: MeasuredValue | None,
-) -> JointResult:
-    pulled = [PulledTendon(record, j, side) for side in range(len(record.joints[j]))]
-    directions, tendons = evaluate_tendons(pulled, config, total)
-    return JointResult(
-        j, directions, tendons, _compute_joint_range(pulled, directions, config, earlier_range)
-    )
+    results, earlier_ranges = [], [*ranges, *[None] * len(record.joints)]
+    for j, stops in enumerate(record.stops):
+        if stops:
+            pulled = [PulledTendon(record, j, side) for side in range(len(record.joints[j]))]
+            directions, tendons = evaluate_tendons(pulled, config, sums.get(j))
+            travel = _compute_joint_range(pulled, directions, config, earlier_ranges[j])
+            results.append(JointResult(j, directions, tendons, travel))
+    return tuple(results)
 
 
 def evaluate_tendons(

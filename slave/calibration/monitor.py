@@ -164,18 +164,13 @@ def _fill_constants(constants: MonitorConstants, model: TendonModel) -> None:
     dx, ds = divide_sheath(sheath)
     s = np.cumsum(ds)
     front = FRONT_DEPTH * sheath.K
-    shares = compute_travel(dx, ds, FRICTION_FACTORS, front) / compute_travel(
-        dx, ds, np.ones(1), front
-    )
-    order = np.argsort(shares)
-    shown = abs(float(np.gradient(shares, FRICTION_FACTORS)[UNCHANGED]))
+    shares, factors, shown, _ = compute_travel_shares(dx, ds, front)
     constants.K = sheath.K
     constants.mobilised = MOBILISED_SHARE * sheath.length
     constants.depth = float(np.cumsum(dx)[np.searchsorted(s, front)])
     constants.lag = model.treatment.time_constant if model.tension_noise > 0.0 else 0.0
     constants.amplified = sheath.K / shown if shown > 0.0 else math.inf
-    constants.shares[:] = shares[order]
-    constants.factors[:] = FRICTION_FACTORS[order]
+    constants.shares[:], constants.factors[:] = shares, factors
     constants.blind = ERROR_RATIO_MAX * shown < sheath.K
 
 
@@ -196,6 +191,18 @@ def compute_travel(dx: Array, ds: Array, factors: Array, front: float) -> Array:
     inside = middle < front
     pulled, released = np.exp(-middle), np.exp(middle - 2.0 * front)
     return np.asarray(np.where(inside, pulled - released, 0.0) @ dx)
+
+
+def compute_travel_shares(dx: Array, ds: Array, front: float) -> tuple[Array, Array, float, float]:
+    """Return what a change of all friction does to `compute_travel`.
+
+    Travel over that of the model, ascending, with the factors of friction; how much it changes with
+    the factor, about 1; and the travel of the model.
+    """
+    unchanged = compute_travel(dx, ds, np.ones(1), front)
+    shares = compute_travel(dx, ds, FRICTION_FACTORS, front) / unchanged
+    order, slope = np.argsort(shares), np.gradient(shares, FRICTION_FACTORS)[UNCHANGED]
+    return shares[order], FRICTION_FACTORS[order], abs(float(slope)), float(unchanged[0])
 
 
 @jit_compile

@@ -15,8 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
-import numpy as np
-
 from estimator.array_types import Array
 from estimator.arrays import interpolate
 from estimator.compiled import jit_compile
@@ -97,16 +95,10 @@ def build_probe_constants(models: Sequence[TendonModel], config: ProbingConfig) 
         if depth == 0.0:
             continue
         dx, ds = monitor.divide_sheath(sheath)
-        travel = monitor.compute_travel(dx, ds, FRICTION_FACTORS, depth)
-        unchanged = monitor.compute_travel(dx, ds, np.ones(1), depth)
-        order = np.argsort(travel)
-        shown = abs(float(np.gradient(travel / unchanged, FRICTION_FACTORS)[monitor.UNCHANGED]))
+        shares, factors, shown, travel = monitor.compute_travel_shares(dx, ds, depth)
         constants.amplified = 1.0 / shown if shown > 0.0 else math.inf
-        constants.K, constants.travel = sheath.K, float(unchanged[0]) / sheath.axial_stiffness
-        constants.shares[:], constants.factors[:] = (
-            travel[order] / unchanged,
-            FRICTION_FACTORS[order],
-        )
+        constants.K, constants.travel = sheath.K, travel / sheath.axial_stiffness
+        constants.shares[:], constants.factors[:] = shares, factors
         constants.lag = model.treatment.time_constant if model.tension_noise > 0.0 else 0.0
         constants.depth = depth if constants.amplified < AMPLIFIED_MAX else 0.0
     return records

@@ -446,13 +446,13 @@ def validate_limits(rig: Rig, limits: ProcedureLimits) -> None:
             f"slave.initialise.sheaths: {len(config.sheaths)} sheaths, but the rig has "
             f"{rig.tendons} tendons"
         )
-    if config.tension > gate_limits.tension_max:
-        raise UsageError(
-            f"slave.initialise.tension: {config.tension:g} N is over slave.gate.tension_max "
-            f"({gate_limits.tension_max:g} N)"
-        )
-    if config.seek_speed > gate_limits.speed_max:
-        raise UsageError(
-            f"slave.initialise.seek_speed: {config.seek_speed:g} m/s is over "
-            f"slave.gate.speed_max ({gate_limits.speed_max:g} m/s)"
-        )
+    for name, limit_name, unit in (
+        ("tension", "tension_max", "N"),
+        ("seek_speed", "speed_max", "m/s"),
+    ):
+        value, limit = getattr(config, name), getattr(gate_limits, limit_name)
+        if value > limit:
+            raise UsageError(
+                f"slave.initialise.{name}: {value:g} {unit} is over slave.gate.{limit_name} "
+                f"({limit:g} {unit})"
+            )

@@ -199,7 +199,8 @@ class HardwareRigConfig:
                     )
                 if ids.count(number) > 1:
                     raise ValueError(f"joints: {kind} {number} belongs to two tendons")
-        if self.reads_currents and any(c.uncertainty is None for c in list_cells(self.tendons)):
+        reads_currents = isinstance(self.cells or self.motors, DynamixelConfig)
+        if reads_currents and any(c.uncertainty is None for c in list_cells(self.tendons)):
             raise ValueError(
                 "joints: tensions from motor currents need the uncertainty [N] of each cell, those "
                 "of loops too, or load cells on a bus of their own (cells)"
@@ -209,11 +210,6 @@ class HardwareRigConfig:
     def tendons(self) -> tuple[HardwareTendonConfig, ...]:
         """All tendons, joint after joint."""
         return tuple(tendon for joint in self.joints for tendon in joint.tendons)
-
-    @property
-    def reads_currents(self) -> bool:
-        """Whether tensions come from motor currents."""
-        return isinstance(self.cells or self.motors, DynamixelConfig)
 
     @property
     def motor_ids(self) -> tuple[int, ...]:
@@ -317,7 +313,7 @@ class HardwareRig:
                 self._position, self._position_s = displacement, sampled_s
         self._samples += len(samples)
         if self._enabled and not self._written:
-            self._send(self._target)  # a loop that reads does not hang
+            self._order(DriverProcess.write, self._target)  # a loop that reads does not hang
         self._written = False
         return tuple(samples)
 
@@ -331,22 +327,16 @@ class HardwareRig:
             self._require_near(proximal_displacement)
             self._enabled = True
         self._target, self._written = self._transmission.to_counts(proximal_displacement), True
-        self._send(self._target)
+        self._order(DriverProcess.write, self._target)
 
     def announce_pause(self) -> None:
         """Have the driver hold the newest targets through one pause of the loop."""
-        try:
-            self.buses[0].announce_pause()
-        except DriverFault as fault:
-            raise RigFault(str(fault)) from fault
+        self._order(DriverProcess.announce_pause)
 
     def emergency_stop(self) -> None:
         """Stop the motors by their own means; the next `write` enables them again."""
         self.follows = self._enabled = False
-        try:
-            self.buses[0].stop()
-        except DriverFault as fault:
-            raise RigFault(str(fault)) from fault
+        self._order(DriverProcess.stop)
 
     def advance(self) -> None:
         """Do nothing: the drivers have processes of their own."""
@@ -372,9 +362,10 @@ class HardwareRig:
         ends = [tension[loop] if loop else (math.nan, math.nan) for loop in self._loops]
         return tuple(np.array(ends).T)
 
-    def _send(self, target: Counts) -> None:
+    def _order(self, method: Callable[..., None], *arguments: Counts) -> None:
+        """Call a method of the motors' driver."""
         try:
-            self.buses[0].write(target)
+            method(self.buses[0], *arguments)
         except DriverFault as fault:
             raise RigFault(str(fault)) from fault
 

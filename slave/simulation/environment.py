@@ -110,9 +110,7 @@ class CombinedEnvironmentConfig:
     parts: tuple[SingleEnvironmentConfig, ...] = ()  # the environments
 
 
-EnvironmentConfig = (
-    FreeConfig | WallConfig | TissueConfig | LoadMotorConfig | CombinedEnvironmentConfig
-)
+EnvironmentConfig = SingleEnvironmentConfig | CombinedEnvironmentConfig
 
 
 class Environment(NamedTuple):

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 DESCRIPTOR_MAX = 4096  # [byte] HID_MAX_DESCRIPTOR_SIZE of Linux
 _REPORT_MAX = 8 * 16384  # [bit] HID_MAX_BUFFER_SIZE of Linux
@@ -387,7 +387,7 @@ def _parse_exponent(item: _Item) -> int:
     return (value ^ 8) - 8 if value < 16 else item.signed
 
 
-_GLOBALS: dict[int, tuple[str, Callable[[_Item], int | bytes]]] = {
+_GLOBALS: dict[int, tuple[str, Callable[[_Item], Any]]] = {
     _PAGE: ("page", lambda item: item.unsigned & 0xFFFF),
     _MINIMUM: ("minimum", lambda item: item.signed),
     _MAXIMUM: ("maximum", lambda item: item.data),

@@ -19,11 +19,8 @@ from master.devices.hid.search import DeviceNotFoundError, FoundDevice
 # --- registry of the nodes open in this process, so that no device is opened twice
 
 
-class _FileIdentity(NamedTuple):
-    """Identity of a device file; not its times, as a change of permissions changes them."""
-
-    system: int
-    inode: int
+# system and inode of a device file; not its times, as a change of permissions changes them
+_FileIdentity = tuple[int, int]
 
 
 class _Claim(NamedTuple):
@@ -92,7 +89,7 @@ def _identify_file(path: str) -> _FileIdentity | None:
         status = os.stat(path)
     except OSError:
         return None
-    return _FileIdentity(status.st_dev, status.st_ino)
+    return status.st_dev, status.st_ino
 
 
 CLAIMS = Claims()  # of this process

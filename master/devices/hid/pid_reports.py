@@ -276,12 +276,9 @@ def build_condition_reports(layout: PidLayout, block: int, share: Share) -> tupl
     if part is None:
         raise DriverError("no Set Condition report, so neither spring nor damper")
     choices = [
-        FieldValue(f, scale_share(share, compute_limits(f)[1]))
-        for f in _find_fields(part, _COEFFICIENTS)
-    ]
-    choices += [
-        FieldValue(f, scale_share(share, compute_limits(f)[1]))
-        for f in _find_fields(part, _SATURATIONS)
+        FieldValue(field, scale_share(share, compute_limits(field)[1]))
+        for usage in _CONDITION_USAGES
+        if (field := part.find(usage)) is not None
     ]
     if not choices:
         raise DriverError(f"{part.name} has no {U.format_usage(U.POSITIVE_COEFFICIENT)}")
@@ -294,12 +291,10 @@ def build_condition_reports(layout: PidLayout, block: int, share: Share) -> tupl
     )
 
 
-_COEFFICIENTS = (U.POSITIVE_COEFFICIENT, U.NEGATIVE_COEFFICIENT)
-_SATURATIONS = (U.POSITIVE_SATURATION, U.NEGATIVE_SATURATION)
-
-
-def _find_fields(part: ReportPart, usages: tuple[int, ...]) -> list[ReportField]:
-    return [field for usage in usages if (field := part.find(usage)) is not None]
+_CONDITION_USAGES = (
+    *(U.POSITIVE_COEFFICIENT, U.NEGATIVE_COEFFICIENT),
+    *(U.POSITIVE_SATURATION, U.NEGATIVE_SATURATION),
+)
 
 
 def build_zero_force_report(layout: PidLayout, block: int) -> bytes:

@@ -65,20 +65,11 @@ def encode_period(rate_hz: float) -> tuple[int, int]:
         count = round(period)
         if 1 <= count <= COUNT_MAX and math.isclose(period, count, rel_tol=TOLERANCE):
             return count, exponent
+    nearest_hz = min(_list_usable_rates(), key=lambda usable_hz: abs(usable_hz - rate_hz))
     raise ValueError(
         f"rate_hz: its period must be 1 to {COUNT_MAX} whole units of 1, 0.1 or 0.01 ms (object "
-        f"60C2); the nearest is {find_nearest_rate(rate_hz):.6g} Hz"
+        f"60C2); the nearest is {nearest_hz:.6g} Hz"
     )
-
-
-def find_nearest_rate(rate_hz: float) -> float:
-    """Return the rate [Hz] nearest to `rate_hz` whose period can be encoded."""
-    return min(_list_usable_rates(), key=lambda usable: abs(usable - rate_hz))
-
-
-def find_highest_rate(limit_hz: float) -> float:
-    """Return the highest rate [Hz] up to `limit_hz` whose period can be encoded, or the lowest."""
-    return max((usable for usable in _list_usable_rates() if usable <= limit_hz), default=RATE_MIN)
 
 
 def _list_usable_rates() -> list[float]:
@@ -190,7 +181,8 @@ class Cia402Config:
             for rate_hz in (0.0, self.rate_hz)
         )
         if load > LOAD_MAX:
-            lower_hz = find_highest_rate(self.rate_hz * (LOAD_MAX - idle) / (load - idle))
+            limit_hz = self.rate_hz * (LOAD_MAX - idle) / (load - idle)
+            lower_hz = max((hz for hz in _list_usable_rates() if hz <= limit_hz), default=RATE_MIN)
             raise ValueError(
                 f"the bus would be {load:.0%} full at {self.rate_hz:g} Hz, {LOAD_MAX:.0%} at most: "
                 f"lower rate_hz to {lower_hz:.6g} or less, or use two buses"

@@ -25,7 +25,6 @@ class Register(NamedTuple):
         return (value % (1 << (8 * self.size))).to_bytes(self.size, "little")
 
 
-MODEL = Register("Model Number", 0, 2)
 RETURN_DELAY = Register("Return Delay Time", 9, 1)  # [2 us]
 DRIVE_MODE = Register("Drive Mode", 10, 1)
 OPERATING_MODE = Register("Operating Mode", 11, 1)
