@@ -21,7 +21,7 @@ from estimator.records import I64, Field, Flag, Struct, StructArray, view_struct
 from master import feedback
 from master.feedback import FeedbackConfig
 from master.hand_input import Axes, HandInput
-from master.mapping_config import AxisMapConfig, MappedJointConfig
+from master.mapping_config import AxisMapConfig
 from teleop.messages.messages import MAX_JOINTS
 
 
@@ -154,18 +154,6 @@ class AxisMap(Struct):
     high: Axes  # [m], [rad]
 
 
-def build_axis_map(joints: tuple[MappedJointConfig, ...]) -> StructArray:
-    """Return the record of the joints' axes, as an array of one."""
-    records = AxisMap.array()
-    axis_map = view_struct(records)
-    axis_map.joints = len(joints)
-    for j, joint in enumerate(joints):
-        axis_map.axis[j] = -1 if joint.axis is None else joint.axis
-        axis_map.scale[j], axis_map.dead_band[j] = joint.scale, joint.dead_band
-        axis_map.low[j], axis_map.high[j] = joint.range
-    return records
-
-
 @jit_compile
 def map_axes(
     axis_maps: StructArray, hands: StructArray, mapped_hands: StructArray, maps: StructArray
@@ -230,10 +218,15 @@ class AxisMapper:
     def __init__(self, config: AxisMapConfig, torque_lever: float) -> None:
         self.joints = len(config.joints)
         self.mapped_hands, self.maps = HandInput.array(), VelocityMap.array()
-        for joint in config.joints:
+        self._axis_map = AxisMap.array()
+        axis_map = view_struct(self._axis_map)
+        axis_map.joints = len(config.joints)
+        for j, joint in enumerate(config.joints):
+            axis_map.axis[j] = -1 if joint.axis is None else joint.axis
+            axis_map.scale[j], axis_map.dead_band[j] = joint.scale, joint.dead_band
+            axis_map.low[j], axis_map.high[j] = joint.range
             if joint.axis is not None and joint.turns:
                 self.maps["lever"][0, joint.axis] = torque_lever
-        self._axis_map = build_axis_map(config.joints)
 
     def step(
         self,

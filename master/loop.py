@@ -205,7 +205,8 @@ def compute_force(
     """
     settings, memory, state, velocity_map = settings_records[0], memories[0], states[0], maps[0]
     tick = Tick(settings, memory, hands[0], mapped_hands[0], state, tick_input)
-    forces = _init_force_parts()
+    rows = np.zeros((5, MAX_JOINTS))
+    forces = ForceParts(rows[0], rows[1], rows[2], rows[3], rows[4])
     is_finite = _compute_wanted_forces(tick, forces.wanted)
     fresh = is_fresh(settings, tick_input, state)
     if new_state:
@@ -232,17 +233,6 @@ class ForceParts(NamedTuple):
     coupling: Array  # the same along the axes of the hand
     local: Array  # of this side alone
     weight: Array  # the part of `local` that carries the device
-
-
-@jit_compile
-def _init_force_parts() -> ForceParts:
-    return ForceParts(
-        np.zeros(MAX_JOINTS),
-        np.zeros(MAX_JOINTS),
-        np.zeros(MAX_JOINTS),
-        np.zeros(MAX_JOINTS),
-        np.zeros(MAX_JOINTS),
-    )
 
 
 @jit_compile

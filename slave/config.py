@@ -36,7 +36,6 @@ AS_BUILT = "as-built"
 NO_FILES: model_files.ModelFiles = {}
 
 DIRECT = DirectConfig()
-USE_DIRECT = "use coupling: {type: direct}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,12 +205,8 @@ def find_config_warnings(config: SlaveConfig, coupling: CouplingConfig = DIRECT)
 
 def _find_model_warnings(config: SlaveConfig, coupling: CouplingConfig) -> list[str]:
     if not config.is_actuated and not isinstance(coupling, DirectConfig):
-        return [
-            (
-                "WARNING: coupling: replayed forces fade at the master with this coupling; "
-                f"{USE_DIRECT}"
-            )
-        ]
+        text = "replayed forces fade at the master with this coupling"
+        return [f"WARNING: coupling: {text}; use coupling: {{type: direct}}"]
     if any(tendon.tension_noise == 0.0 for tendon in config.tendons) and config.is_actuated:
         return ["WARNING: slave.tendons: no tension_noise: a stuck load cell may not be noticed"]
     if not isinstance(config.calibration, Path):

@@ -120,10 +120,6 @@ class SlaveExtensions:
 
     def run_tick(
         self,
-        settings: StructArray,
-        layouts: StructArray,
-        memories: StructArray,
-        scratches: StructArray,
         rows: StructArray,
         samples: int,
         tick_input: TickInput,
@@ -131,7 +127,8 @@ class SlaveExtensions:
         states: StructArray,
     ) -> int:
         """Run `slave.loop.run_tick` with the own coupling and controller; `ExtensionFault`."""
-        records = settings, layouts, memories, scratches
+        records = self._records.tick_arguments
+        _, _, memories, scratches = records
         n, sent = self._joints, None
         coupling, controller = self._coupling, self._controller
         if coupling is not None:

@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from enum import IntFlag
 from typing import TypeAlias
 
+import numpy as np
+
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.records import F64, Struct, StructArray
@@ -87,6 +89,7 @@ class Reach(Struct):
 
 Reaches: TypeAlias = Sequence[Reach] | StructArray
 """One for each tendon of a rig, as a field of a record or as an array of records."""
+NO_REACH = Reach.array(0)
 
 
 @jit_compile
@@ -205,6 +208,21 @@ def step(
             verdict |= SPEED
         out_passed[k] = slewed
     return verdict
+
+
+def limit_targets(
+    config: GateConfig, last: Array, target: Array, tension: Array, tension_age: float, dt: float
+) -> tuple[Array, GateFlags]:
+    """Return positions [m] outside a session, where no range of a joint is known, and the flags.
+
+    For the arguments see `step`; `config` is a record (`to_struct`).
+    """
+    passed = np.empty_like(last)
+    verdict = step(
+        config, len(last), last, target, tension, tension_age, True, dt, NO_REACH, False, False,
+        passed,
+    )  # fmt: skip
+    return passed, GateFlags(verdict)
 
 
 @jit_compile

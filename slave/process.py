@@ -118,7 +118,8 @@ class SlaveProcess(LoopProcess):
         self._gated_position = self._slave.memory["gated_position"][0]  # [m]
         self._has_gated_position = self._slave.memory["has_gated_position"]
         self._estimate_arguments = self._slave.estimate_arguments
-        self._tick_arguments = self._slave.tick_arguments
+        own = partial(loop.run_tick, *self._slave.tick_arguments)
+        self._run_tick = own if self._extensions is None else self._extensions.run_tick
         self._monitor_arguments = self._slave.monitor_arguments
         self._checkpoint = Checkpoint(*self._slave.changing)
         self._rows = EstimatedSample.array(ROWS_INITIAL)
@@ -224,14 +225,8 @@ class SlaveProcess(LoopProcess):
         elif not self._is_estimated:
             estimate(*self._estimate_arguments, rows, sample_count)
         self._is_estimated = False
-        run_tick = loop.run_tick if extensions is None else extensions.run_tick
-        return run_tick(
-            *self._tick_arguments,
-            rows,
-            sample_count,
-            tick_input,
-            commands.packet.records,
-            self._state.records,
+        return self._run_tick(
+            rows, sample_count, tick_input, commands.packet.records, self._state.records
         )
 
     def _read(self, time_s: float) -> Reason:

@@ -25,21 +25,14 @@ def fill_sample(rows: StructArray, index: int, sample: RigSample) -> None:
 
     Missing entries are NaN, which the estimator rejects.
     """
-    travel = sample.proximal_displacement
-    tip_tension, tip_travel = sample.bench_distal_tension, sample.bench_distal_displacement
-    moved, held = sample.loop_moved_tension, sample.loop_held_tension
-    _fill_row(
-        rows,
-        index,
-        float(sample.time_s),
-        travel is not None,
-        np.array(sample.proximal_tension, np.float64, order="C"),
-        _MISSING if travel is None else np.array(travel, np.float64, order="C"),
-        _MISSING if tip_tension is None else np.array(tip_tension, np.float64, order="C"),
-        _MISSING if tip_travel is None else np.array(tip_travel, np.float64, order="C"),
-        _MISSING if moved is None else np.array(moved, np.float64, order="C"),
-        _MISSING if held is None else np.array(held, np.float64, order="C"),
+    channels = (
+        *(sample.proximal_tension, sample.proximal_displacement),
+        *(sample.bench_distal_tension, sample.bench_distal_displacement),
+        *(sample.loop_moved_tension, sample.loop_held_tension),
     )
+    has_displacement = sample.proximal_displacement is not None
+    arrays = [_MISSING if c is None else np.array(c, np.float64, order="C") for c in channels]
+    _fill_row(rows, index, float(sample.time_s), has_displacement, *arrays)
 
 
 # Copies of one array type, whatever the rig returns: numba would compile again for any other type,

@@ -178,7 +178,6 @@ class GatedRig:
         self._rig, self._gate, self._start_ns = rig, to_struct(limits), start_ns
         self._ticks = iter(ticks)
         self._tension, self._silence = rest.tension, 0.0
-        self._no_reach = gate.Reach.array(0)
 
     def enable(self) -> None:
         """Write where the motors are, from a reading of the same tick on, until they follow."""
@@ -233,23 +232,10 @@ class GatedRig:
 
     def _write(self, target: Array, dt: float) -> None:
         """Pass positions [m] through the gate and write them."""
-        passed = np.empty(self._rig.tendons)
-        gate.step(
-            self._gate,
-            self._rig.tendons,
-            self.last,
-            target,
-            self._tension,
-            self._silence,
-            True,
-            dt,
-            self._no_reach,
-            False,
-            False,
-            passed,
+        self.last, _ = gate.limit_targets(
+            self._gate, self.last, target, self._tension, self._silence, dt
         )
-        self.last = passed
-        self._rig.write(passed.copy())
+        self._rig.write(self.last.copy())
         self._rig.advance()
 
 

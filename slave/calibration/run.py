@@ -180,7 +180,6 @@ class _ProcedureRun:
         self._motor: tuple[float, ...] = ()
         self._motors_follow = False  # as of the last read
         self._gate = to_struct(limits.gate)
-        self._no_reach = gate.Reach.array(0)  # the range of the joints is not known yet
         self._stops: list[tuple[StopContact, ...]] = [()] * len(rig.joints)
         self._is_begun = False  # this stage
         self._silence = 0.0
@@ -368,25 +367,15 @@ class _ProcedureRun:
         motor = np.array(self._motor)
         for j, joint in enumerate(self._rig.joints):
             k = list(joint)
-            motor[k], self._verdicts[j] = self._apply_gate(
-                motor[k], np.array([target[i] for i in k]), tension[k].astype(np.float64), dt
+            wanted, pulled = np.array([target[i] for i in k]), tension[k].astype(np.float64)
+            motor[k], self._verdicts[j] = gate.limit_targets(
+                self._gate, motor[k], wanted, pulled, self._silence, dt
             )
         self._motor = tuple(motor.tolist())
         try:
             self._rig.write(motor)
         except RigFault as error:
             raise TeleopError(f"rig: {error}") from error
-
-    def _apply_gate(
-        self, last: Array, target: Array, tension: Array, dt: float
-    ) -> tuple[Array, GateFlags]:
-        """Return the output of the gate for a joint [m], and its flags."""
-        passed = np.empty_like(last)
-        verdict = gate.step(
-            self._gate, len(last), last, target, tension, self._silence, True, dt,
-            self._no_reach, False, False, passed,
-        )  # fmt: skip
-        return passed, GateFlags(verdict)
 
 
 class StationaryRig:

@@ -58,7 +58,9 @@ def step(
     fault, tendon = Reason.NONE, -1
     for i in range(layout.tendons):
         if tendons[i].valid:
-            reason = _check_tendon(config, detector.tendon[i], tendons[i], dt)
+            checks, T, q = detector.tendon[i], tendons[i].tension, tendons[i].displacement
+            reason = check_cell(config, checks.noise, checks.cell, T, q, dt)
+            update_average(checks.average, T, q, dt)
             if fault == Reason.NONE and reason != Reason.NONE:
                 fault, tendon = reason, i
     for g in range(layout.groups):
@@ -68,17 +70,6 @@ def step(
             if fault == Reason.NONE and reason != Reason.NONE:
                 fault, tendon = reason, i
     return fault, tendon
-
-
-@jit_compile
-def _check_tendon(
-    config: FaultDetectionConfig, checks: CheckedTendon, tendon: EstimatedTendon, dt: float
-) -> Reason:
-    """Process the readings of one tendon; return the fault of its load cell."""
-    T, q = tendon.tension, tendon.displacement
-    reason = check_cell(config, checks.noise, checks.cell, T, q, dt)
-    update_average(checks.average, T, q, dt)
-    return reason
 
 
 @jit_compile
