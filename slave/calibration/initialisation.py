@@ -107,8 +107,8 @@ def assemble_calibration(
     rig: Rig,
     method: str,
     time: str,
-    earlier: Calibration | None = None,
-    fit: GuideFit = NO_GUIDES,
+    earlier: Calibration | None,
+    fit: GuideFit,
 ) -> Calibration:
     """Return the calibration of a whole rig from new results and an earlier calibration."""
     guides = {guide.joint: guide for guide in earlier.guides} if earlier else {}

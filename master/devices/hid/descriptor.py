@@ -421,10 +421,9 @@ def compute_representable_range(field: ReportField) -> tuple[int, int]:
     return 0, (1 << field.size) - 1
 
 
-def read_field(report: bytes, field: ReportField, k: int = 0) -> int:
-    """Return the value of the `k`-th element of a field; truncated bits read as zero."""
-    first = field.offset + k * field.size
-    last = first + field.size
+def read_field(report: bytes, field: ReportField) -> int:
+    """Return the value of a field, of an array the first one; truncated bits read as zero."""
+    first, last = field.offset, field.offset + field.size
     bits = int.from_bytes(report[first // 8 : (last + 7) // 8], "little") >> first % 8
     value = bits & (1 << field.size) - 1
     if field.minimum < 0 and value >> field.size - 1:
