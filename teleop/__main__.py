@@ -4,11 +4,14 @@ Python raises KeyboardInterrupt anywhere; during an import that is a long traceb
 in a callback. Nothing is open yet, so the signal just ends the process here.
 """
 
+import atexit
 import gc
 import os
 import signal
 import sys
+import threading
 from contextlib import suppress
+from typing import NoReturn
 
 # new objects between two collections of garbage; imports make half a million that stay, through
 # which it would look at every 700: a fifth of their time
@@ -17,7 +20,7 @@ STOP_PRIORITY = 2  # SCHED_FIFO: below the loops, above the recorder and ordinar
 
 
 def main() -> int:
-    """Run `teleop`; returns the exit code."""
+    """Run `teleop`; returns the exit code, or ends the process with it."""
     gc.set_threshold(GARBAGE_THRESHOLD)
     signal.signal(signal.SIGINT, _exit_on_interrupt)
     _exclude_current_folder()
@@ -26,15 +29,34 @@ def main() -> int:
     from teleop.cli import commands
 
     try:
-        return commands.main(begin=_install_interrupt_handler)
+        exit_code = commands.main(begin=_install_interrupt_handler)
     except KeyboardInterrupt:  # even while another error is printed
         from teleop.runtime.process import interrupt_handler
 
-        return interrupt_handler.exit_code
+        exit_code = interrupt_handler.exit_code
     finally:  # the exit code is known; ignore later signals
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if "zenoh" in sys.modules and sys.version_info < (3, 14):
+        _end_beside_threads(exit_code)
+    return exit_code
+
+
+def _end_beside_threads(exit_code: int) -> NoReturn:
+    """End the process without taking the interpreter apart, as Python would end otherwise.
+
+    A thread of Zenoh may still ask for it, even with its session closed, and until Python 3.14
+    (gh-87135) such a thread is unwound, which aborts the process where it comes from Rust.
+    """
+    for thread in threading.enumerate():
+        if thread is not threading.current_thread() and not thread.daemon:
+            thread.join()
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(AttributeError, OSError, ValueError):  # closed, or never there
+            stream.flush()
+    os._exit(exit_code)
 
 
 def _exclude_current_folder() -> None:
