@@ -113,6 +113,7 @@ class AdaptedFriction(Struct):
     mean_factor: Annotated[Array, Field("f8", 3, fill=1.0)]  # of friction, of each third
     factor: Annotated[Array, Field("f8", 3, fill=1.0)]  # of those, in use
     evidence_age: F64 = 0.0  # [s] since the last evidence, less as pieces tell more
+    doubt: F64 = 0.0  # of K, relative: a change is suspected
     update_age: F64 = 0.0  # [s] since the last update for the time passed
     pieces: I64 = 0  # of evidence so far
     contradictions: I64 = 0  # of them, those that fit no sheath
@@ -484,7 +485,7 @@ def hold_interval(
     K_before: float,
 ) -> None:
     """Let the estimator's interval hold that of K, which grows with the time without evidence."""
-    K, growth = prepared.tables[_K], GROWTH * state.evidence_age * state.K
+    K, growth = prepared.tables[_K], (GROWTH * state.evidence_age + state.doubt) * state.K
     low = max(state.low - growth, constants.K[0])
     high = min(state.high + growth, constants.K[FACTOR_COUNT - 1])
     error = max(high - K, K - low) - prepared.friction_error * K

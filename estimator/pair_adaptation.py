@@ -15,6 +15,8 @@ so the tensions with which the joint passes one place both ways give K_a + K_b (
 An extended Kalman filter estimates the friction of each third of both sheaths, errors of L/EA, the
 constant and the friction f of the joint, all but f being known at the start. What does not fit is
 not used: tissue adds friction of its own. If most passes agree that K differs, K has changed.
+(T21) with the friction in use holds at all times, as a joint that moves unseen shortens one tendon
+by what it lengthens the other. Where it fails, K may be anywhere until passes tell it again.
 
 T_out is that of profiles at the ends of `CELLS` cells of equal friction, driven from the housing
 by T_in, and from the tip (T18) by the travel of the joint, which is that of a tendon that slides
@@ -30,7 +32,6 @@ from estimator import signals
 from estimator.adaptation import (
     APART,
     CELLS,
-    DRIFT,
     EVIDENCE_MAX,
     FACTOR_COUNT,
     FACTOR_MAX,
@@ -65,7 +66,8 @@ from estimator.records import F64, Field, Flag, Struct, StructArray
 STATES, FRICTIONS, CONSTANT, JOINT = 10, 6, 8, 9
 PASSES = 64  # of the joint in each direction, that are remembered
 LEAST_TENSION = 1e-3  # [N]
-TRAVEL_BAND = 2.5e-6  # [m] of the tip's travel by one tendon: less is noise
+AVERAGE_S = 1e-3  # [s] of the averages of tension and travel, at most: what lags moves the tip
+TENSION_BAND, TRAVEL_BAND = 1.0, 2.0  # sigma of averages: less is noise
 SLIDING_SHARE = 0.005  # of the tension at the tip, within which the tendon slides fully
 TURN_BAND = 2e-5  # [m] of the mean travel of both motors
 SLIDE_MARGIN = 1e-4  # [m] of it, beyond what elongations and a reversal take
@@ -74,9 +76,9 @@ PIECE_S = 0.1  # [s] within which pieces share their errors
 TEMPER = 0.25  # of the evidence of a piece: later ones share some errors, too
 ELONGATION_NOISE, ELONGATION_ACCURACY = 4e-6, 0.005  # [m], relative
 PASS_DISTANCE, PASS_S = 1.5e-4, 8.0  # [m], [s] between two passes of one place
-LOAD_NOISE, LOAD_ACCURACY = 0.06, 0.01  # [N], relative to the tensions at the tips
+LOAD_ACCURACY = 0.01  # relative to the tensions at the tips
 LOAD_FRICTION = 0.25  # of what loads the joint, as of tissue, over that load
-START_SIGMA = 0.03  # of each log factor
+START_SIGMA, DRIFT = 0.03, 0.005  # of each log factor, and in [1/sqrt(s)]
 COMMON_SHARE = 0.5  # of the variance of a log factor, common to the thirds of a sheath
 COMPLIANCE_SIGMA = 0.02  # of L/EA, relative
 CONSTANT_SIGMA, CONSTANT_DRIFT = 1e-3, 2e-6  # [m], [m/sqrt(s)]
@@ -102,6 +104,8 @@ class PairTendon(AdaptedFriction):
     turn_tension: F64 = 0.0  # T_in + tau [N] where the motors turned
     piece_tension: F64 = 0.0  # [N] where the piece began
     tip: F64 = 0.0  # travel of the tip by this tendon [m], behind a dead band
+    sigma: F64 = 0.0  # of the average of T_in [N]
+    travel_band: F64 = 0.0  # [m], half of that dead band
 
 
 class PairAdaptation(Struct):
@@ -153,18 +157,18 @@ def observe_pair(
         # what the joint has moved meanwhile is seen afterwards, but not whether it turned
         state.direction = 0.0
         if state.started and _is_valid(estimate_a):
-            _drive_housing(constants_a, a, prepared_a, estimator_a.held_tension)
+            _drive_housing(constants_a, a, prepared_a, estimator_a)
             _write_estimate(a, prepared_a, estimate_a)
         if state.started and _is_valid(estimate_b):
-            _drive_housing(constants_b, b, prepared_b, estimator_b.held_tension)
+            _drive_housing(constants_b, b, prepared_b, estimator_b)
             _write_estimate(b, prepared_b, estimate_b)
         return
     if not state.started:
         _initialise(state)
         _initialise_tendon(constants_a, a, prepared_a)
         _initialise_tendon(constants_b, b, prepared_b)
-    _drive_housing(constants_a, a, prepared_a, estimator_a.held_tension)
-    _drive_housing(constants_b, b, prepared_b, estimator_b.held_tension)
+    _drive_housing(constants_a, a, prepared_a, estimator_a)
+    _drive_housing(constants_b, b, prepared_b, estimator_b)
     q_a, q_b = estimator_a.mean_displacement, estimator_b.mean_displacement
     if not state.started:
         a.tip, b.tip, state.started = q_a - a.elongation, q_b - b.elongation, True
@@ -181,6 +185,8 @@ def observe_pair(
     if is_usable and direction != 0.0:
         rho_a, rho_b = prepared_a.tables[_ASYMMETRY], prepared_b.tables[_ASYMMETRY]
         _take_evidence(constants_a, constants_b, state, direction, q_a, q_b, T_a, T_b, rho_a, rho_b)
+    if is_usable and _has_change(constants_a, constants_b, state, q_a + q_b):
+        a.doubt = b.doubt = 1.0  # K may be anywhere within its bounds
     _take_loop(constants_a, state, a, 0, loop_a, dt)
     _take_loop(constants_b, state, b, 3, loop_b, dt)
     _adapt(constants_a, state, a, prepared_a, estimator_a, 0, is_usable, dt)
@@ -219,6 +225,7 @@ def _initialise_tendon(
     constants: AdaptationConstants, state: PairTendon, prepared: PreparedTendon
 ) -> None:
     _set_friction(constants, state, prepared.tables[_ASYMMETRY])
+    prepared.time_constant = min(prepared.time_constant, AVERAGE_S)
     state.tension[:] = max(prepared.pretension + prepared.tables[_DRAG], LEAST_TENSION)
 
 
@@ -232,10 +239,17 @@ def _set_friction(constants: AdaptationConstants, state: PairTendon, rho: float)
 
 @jit_compile
 def _drive_housing(
-    constants: AdaptationConstants, state: PairTendon, prepared: PreparedTendon, T_in: float
+    constants: AdaptationConstants,
+    state: PairTendon,
+    prepared: PreparedTendon,
+    estimator: EstimatorState,
 ) -> None:
-    """Bring T_in of the profile to `T_in` [N] (T10)."""
-    drive = max(T_in + prepared.tables[_DRAG], LEAST_TENSION)
+    """Bring T_in of the profile to the average, behind a dead band (T10)."""
+    state.sigma = sigma = math.sqrt(estimator.tension_variance)
+    T_in = max(estimator.mean_tension + prepared.tables[_DRAG], LEAST_TENSION)
+    drive = signals.update_play(state.drive, T_in, TENSION_BAND * sigma)
+    noise = (constants.compliance * sigma) ** 2 + prepared.displacement_noise**2
+    state.travel_band = TRAVEL_BAND * math.sqrt(noise)
     if drive != state.drive:
         state.drive = drive
         _sweep(state.tension[:], state.pull_ratio[:], state.release_ratio[:], drive)
@@ -307,7 +321,7 @@ def _find_joint_travel(a: PairTendon, q_a: float, b: PairTendon, q_b: float) -> 
 def _move_tip(state: PairTendon, q: float) -> float:
     """Return the tip's travel by this tendon [m] in this sample, beyond its dead band."""
     before = state.tip
-    state.tip = signals.update_play(before, q - state.elongation, TRAVEL_BAND)
+    state.tip = signals.update_play(before, q - state.elongation, state.travel_band)
     return state.tip - before
 
 
@@ -354,19 +368,47 @@ def _find_slide(
     piece = abs(state.travel - state.piece_travel)
     if piece < PIECE_TRAVEL:
         return 0.0
+    friction_max = np.full(3, math.log(FACTOR_MAX))
     if direction > 0.0:
         elongation = constants_a.compliance * T_a + constants_b.compliance * b.turn_tension
-        reversal = _slide_fully(constants_b, state.mean[3:6], 1.0, T_b, np.zeros(3))
+        reversal = _slide_fully(constants_b, friction_max, 1.0, T_b, np.zeros(3))
         recoil = constants_a.compliance * (a.piece_tension - T_a)
     else:
         elongation = constants_b.compliance * T_b + constants_a.compliance * a.turn_tension
-        reversal = _slide_fully(constants_a, state.mean[:3], 1.0, T_a, np.zeros(3))
+        reversal = _slide_fully(constants_a, friction_max, 1.0, T_a, np.zeros(3))
         recoil = constants_b.compliance * (b.piece_tension - T_b)
     state.piece_travel = state.travel
     a.piece_tension, b.piece_tension = T_a, T_b
     slide = abs(state.travel - state.turn_travel) - 0.5 * elongation - reversal
     is_driven = direction * (T_a - T_b) > 0.0  # by the motor, not by the environment
     return direction if is_driven and slide > SLIDE_MARGIN and recoil < 0.5 * piece else 0.0
+
+
+@jit_compile
+def _has_change(
+    constants_a: AdaptationConstants,
+    constants_b: AdaptationConstants,
+    state: PairAdaptation,
+    travel: float,
+) -> bool:
+    """Return whether both motors' `travel` [m] contradicts the friction in use (T21), once known.
+
+    This needs no slide: a joint that moves unseen lengthens one tendon as it shortens the other.
+    """
+    slope, e_a, e_b = np.zeros(STATES), state.a.elongation, state.b.elongation
+    slope[FRICTIONS], slope[FRICTIONS + 1], slope[CONSTANT] = e_a, e_b, 1.0
+    noise = _compute_travel_noise(constants_a, constants_b, e_a, e_b)
+    residual = travel - e_a - e_b - float(slope[FRICTIONS:JOINT] @ state.mean[FRICTIONS:JOINT])
+    return math.isfinite(residual) and not _fits(state, slope, residual, noise)
+
+
+@jit_compile
+def _compute_travel_noise(
+    constants_a: AdaptationConstants, constants_b: AdaptationConstants, e_a: float, e_b: float
+) -> float:
+    """Return the variance of (T21) [m^2]."""
+    noise = ELONGATION_NOISE**2 + ELONGATION_ACCURACY**2 * (e_a**2 + e_b**2)
+    return noise + (constants_a.variance + constants_b.variance) / 9.0
 
 
 @jit_compile
@@ -411,9 +453,8 @@ def _take_evidence(
     e_a = _slide_fully(constants_a, state.mean[:3], sign_a, T_a, slope[:3])
     e_b = _slide_fully(constants_b, state.mean[3:6], sign_b, T_b, slope[3:6])
     slope[FRICTIONS], slope[FRICTIONS + 1], slope[CONSTANT] = e_a, e_b, 1.0
-    noise = ELONGATION_NOISE**2 + ELONGATION_ACCURACY**2 * (e_a**2 + e_b**2)
-    noise += (constants_a.variance + constants_b.variance) / 9.0
-    _compare_elongations(state, slope, q_a + q_b - e_a - e_b, noise / weight)
+    noise = _compute_travel_noise(constants_a, constants_b, e_a, e_b)
+    _compare_elongations(state, slope, q_a + q_b - e_a - e_b, noise, weight)
     way = 0 if direction > 0.0 else 1
     n = state.passes[way] % PASSES
     state.passes[way] += 1
@@ -425,12 +466,13 @@ def _take_evidence(
         to_a, to_b = state.pass_tension[way, n], state.pass_tension[1 - way, m]
         if way == 1:
             to_a, to_b = to_b, to_a
-        _compare_passes(constants_a, constants_b, state, to_a, to_b, rho_a, rho_b, weight)
+        age = state.time - state.pass_time[1 - way, m]
+        _compare_passes(constants_a, constants_b, state, to_a, to_b, rho_a, rho_b, weight, age)
 
 
 @jit_compile
 def _compare_elongations(
-    state: PairAdaptation, slope: Array, residual: float, noise: float
+    state: PairAdaptation, slope: Array, residual: float, noise: float, weight: float
 ) -> None:
     """Update the filter by what the travels leave over the elongations (T21) [m]."""
     if math.isnan(state.mean[CONSTANT]):
@@ -440,7 +482,7 @@ def _compare_elongations(
     state.a.pieces += 1
     state.b.pieces += 1
     if _fits(state, slope, residual, noise):
-        _update_filter(state, slope, residual, noise)
+        _update_filter(state, slope, residual, noise / weight)
     else:
         state.a.contradictions += 1
         state.b.contradictions += 1
@@ -470,8 +512,12 @@ def _compare_passes(
     rho_a: float,
     rho_b: float,
     weight: float,
+    age: float,
 ) -> None:
-    """Update the filter by tensions [N] of a and b as the joint passed a place both ways (T22)."""
+    """Update the filter by tensions [N] of a and b as the joint passed a place both ways (T22).
+
+    They tell nothing of a change since the earlier pass, `age` [s] ago.
+    """
     slope_a = _compute_friction_slope(constants_a, state, 0)
     slope_b = _compute_friction_slope(constants_b, state, 3)
     K_a, K_b = slope_a.sum(), slope_b.sum()
@@ -483,7 +529,10 @@ def _compare_passes(
     slope[JOINT] = 2.0
     size = 0.5 * (pulled_a + released_b + pulled_b + released_a)
     dissipated = LOAD_FRICTION * (resisted_a - resisted_b)
-    noise = 2.0 * LOAD_NOISE**2 + (2.0 * LOAD_ACCURACY * size) ** 2 + dissipated**2
+    # a pulled sheath divides the noise of T_in by e^K, one dragged out multiplies it
+    noise = state.a.sigma**2 * (math.exp(-2.0 * K_a) + math.exp(2.0 * rho_a * K_a))
+    noise += state.b.sigma**2 * (math.exp(-2.0 * K_b) + math.exp(2.0 * rho_b * K_b))
+    noise += (2.0 * LOAD_ACCURACY * size) ** 2 + dissipated**2
     noise /= weight
     share = 1.0 / JUMP_PASSES
     if _fits(state, slope, residual, noise * weight):
@@ -491,7 +540,9 @@ def _compare_passes(
         state.excess_share *= 1.0 - share
         for tendon, change in ((state.a, slope[:3].sum()), (state.b, slope[3:6].sum())):
             distinction = (APART * change) ** 2 / noise
-            tendon.evidence_age *= math.exp(-0.5 * min(distinction, EVIDENCE_MAX))
+            share = math.exp(-0.5 * min(distinction, EVIDENCE_MAX))
+            tendon.evidence_age = min(tendon.evidence_age, max(share * tendon.evidence_age, age))
+            tendon.doubt *= share
         return
     difference = residual / size - state.excess
     agreement = 1.0 if abs(difference) < JUMP_AGREEMENT else 0.0

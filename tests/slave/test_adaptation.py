@@ -124,11 +124,11 @@ def test_the_monitor_is_heard_where_the_adaptation_cannot_decide():
 def test_a_lost_sample_of_one_tendon_does_not_make_the_estimate_of_the_other_jump():
     slave = started()
     run(slave, pulls(0.0, 2.0))
-    rows = pulls(2.0, 2.02)
+    rows = pulls(2.0, 2.3)  # a turn, after which the tip follows late
     rows["tendons"]["tension"][4, 1] = np.nan
     run(slave, rows)
     T_out = rows["tendons"]["estimate"]["distal_tension"][:, 0]
-    assert np.abs(np.diff(T_out)).max() < 0.02
+    assert np.abs(np.diff(T_out[:10])).max() < 0.02
     assert np.ptp(T_out) > 0.0
 
 
