@@ -61,7 +61,7 @@ def test_a_fit_on_one_half_holds_on_the_other(tmp_path):
 @pytest.mark.slow  # .ci/run runs it from the wheel
 def test_the_effect_that_was_put_in_is_found(tmp_path):
     said = run(tmp_path, "diagnose_record.py")
-    assert "distal_tension_gain" in said.partition("\n\n")[0]
+    assert "the load cell at the tip has a wrong gain" in said.partition("\n\n")[0]
     gain = re.search(r"distal_tension_gain.gain +\| +([\d.]+)", said)[1]
     assert float(gain) == pytest.approx(0.15, abs=0.02)
 
