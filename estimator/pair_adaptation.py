@@ -540,9 +540,9 @@ def _compare_passes(
         state.excess_share *= 1.0 - share
         for tendon, change in ((state.a, slope[:3].sum()), (state.b, slope[3:6].sum())):
             distinction = (APART * change) ** 2 / noise
-            share = math.exp(-0.5 * min(distinction, EVIDENCE_MAX))
-            tendon.evidence_age = min(tendon.evidence_age, max(share * tendon.evidence_age, age))
-            tendon.doubt *= share
+            kept = math.exp(-0.5 * min(distinction, EVIDENCE_MAX))  # of what was unknown
+            tendon.evidence_age = min(tendon.evidence_age, max(kept * tendon.evidence_age, age))
+            tendon.doubt *= kept
         return
     difference = residual / size - state.excess
     agreement = 1.0 if abs(difference) < JUMP_AGREEMENT else 0.0
