@@ -28,7 +28,8 @@ GAINS = 0.002
 
 @cache
 def record(sections, K=1.2, initialise=FULL):
-    return calibrated(rig_config(joint(K, sections=sections, nodes=60)), initialise).record
+    nodes = 120 if sections is TIP else 60  # a bend of 30 mm needs more than one
+    return calibrated(rig_config(joint(K, sections=sections, nodes=nodes)), initialise).record
 
 
 @cache
