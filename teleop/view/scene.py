@@ -22,7 +22,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from teleop.messages.messages import PHASE_NAMES, STOP_ACTIONS, decode_text
@@ -40,7 +39,7 @@ from teleop.messages.topics import (
     format_role,
 )
 from teleop.session.state_machine import State
-from teleop.view.colours import FRONT, LABEL, PHASES, STATES, to_rgba
+from teleop.view.colours import LABEL, PHASES, STATES, to_rgba
 from teleop.view.columns import AnyTopic, Rows, Sender, Subsampler, build_columns, split_rows
 from teleop.view.config import ViewConfig
 from teleop.view.curves import Plots
@@ -48,9 +47,9 @@ from teleop.view.feed import BatchDisplay
 from teleop.view.panel import Panel
 from teleop.view.profile_plot import Plane, ProfileView, compute_axis_end, compute_ticks_to_end
 from teleop.view.scene_arms import Arms
-from teleop.view.scene_geometry import PIECES, SEGMENTS, Stage, compute_rotations_from_z
+from teleop.view.scene_geometry import Stage
 from teleop.view.scene_joints import Levers
-from teleop.view.scene_sheaths import Painter, Sheaths
+from teleop.view.scene_sheaths import Sheaths, Tubes
 from teleop.view.space_arm import SpaceArm
 
 # --- fit the scene into its view, with the colour scale beside it
@@ -221,70 +220,6 @@ class LoopView:
         heights = -1.0 + 0.16 * np.arange(len(PHASES))
         at = np.stack([np.full(len(PHASES), 1.4), heights], axis=1)
         self._sender.send_words("loop/names", rr.Points2D, at, list(PHASE_NAMES), list(PHASES))
-
-
-# --- the sheaths in the scene: coloured by tension, thick where the tendon slides, and X'
-
-_STICKING_WIDTH = 0.5  # radius where the tendon sticks, of that where it slides
-
-
-class Tubes(Painter):
-    """Draws the shapes, and the tension in them."""
-
-    def place(self) -> None:
-        """Draw the shapes where they now stand."""
-        stage = self._sheaths.stage
-        if stage is None:
-            return
-        radius = self._config.tube_radius * stage.size
-        for tendon, line in stage.lines.items():
-            knots = line[::PIECES]
-            steps = np.diff(knots, axis=0)
-            tube = rr.Capsules3D(
-                translations=knots[:-1],
-                lengths=np.linalg.norm(steps, axis=1),
-                quaternions=compute_rotations_from_z(steps),
-                fill_mode="solid",
-            )
-            self._sender.send_static(f"scene/tendon_{tendon}/tube", tube)
-            style = {"radii": 1.8 * radius, "colors": FRONT}
-            self._set_style(f"scene/tendon_{tendon}/tube", rr.Points3D, **style)
-
-    def draw(self, tendon: int, rows: Rows) -> None:
-        """Draw T(x) and X' of some instants."""
-        stage = self._sheaths.stage
-        if stage is None or tendon not in stage.lines:
-            return
-        tension, length, front = rows["tension"], rows["length"], rows["front"]
-        middle = (tension[:, 1:] + tension[:, :-1]) / 2
-        colours = to_rgba(middle, self._config.tension_scale_N).ravel()
-        slides = find_sliding_segments(front, length)
-        radius = self._config.tube_radius * stage.size
-        radii = np.where(slides, radius, _STICKING_WIDTH * radius).astype(np.float32).ravel()
-        is_finite = np.isfinite(front)
-        at = interpolate_line(stage.lines[tendon], (front / length)[is_finite])
-        tube = build_columns(
-            rr.Capsules3D, np.full(len(rows), SEGMENTS), colors=colours, radii=radii
-        )
-        tube += build_columns(rr.Points3D, is_finite, positions=at)
-        self._sender.send_columns(f"scene/tendon_{tendon}/tube", rows, tube)
-
-
-def find_sliding_segments(front: Array, length: Array) -> NDArray[np.bool_]:
-    """Return for each segment of the profile whether its tendon slides: those before X'.
-
-    The newest movement has got as far as X'; beyond it friction still holds what the last one
-    left. A segment with X' in its middle or further on counts as sliding.
-    """
-    middles = (np.arange(SEGMENTS) + 0.5) / SEGMENTS
-    slides: NDArray[np.bool_] = middles <= (front / length)[:, None]
-    return slides
-
-
-def interpolate_line(line: Array, positions: Array) -> Array:
-    """Return the points of a line at `positions`, 0 at its start and 1 at its end."""
-    knots = np.linspace(0.0, 1.0, len(line))
-    return np.stack([np.interp(positions, knots, line[:, k]) for k in range(3)], axis=1)
 
 
 class Scene(BatchDisplay):

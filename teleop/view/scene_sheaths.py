@@ -1,16 +1,25 @@
-"""The known sheaths: shapes, joints and places in the scene."""
+"""The sheaths: known shapes, joints and places in the scene, and tubes coloured by tension."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from teleop.messages.messages import PROFILE_POINTS
+from teleop.view.colours import FRONT, to_rgba
 from teleop.view.columns import AnyTopic, Rows, Sender, Subsampler, build_columns
 from teleop.view.config import ViewConfig
-from teleop.view.scene_geometry import Shape, Stage, build_stage
+from teleop.view.scene_geometry import (
+    PIECES,
+    SEGMENTS,
+    Shape,
+    Stage,
+    build_stage,
+    compute_rotations_from_z,
+)
 from teleop.view.space_arm import SpaceArm
 
 # --- certified band of T(x) from the tensions at both ends
@@ -131,3 +140,67 @@ class Painter:
         none = np.array([0])
         parts = [c for each in archetypes for c in build_columns(each, none, **_EMPTY[each])]
         self._sender.send_columns_at(path, np.array([stamp_ns]), parts)
+
+
+# --- the sheaths in the scene: coloured by tension, thick where the tendon slides, and X'
+
+_STICKING_WIDTH = 0.5  # radius where the tendon sticks, of that where it slides
+
+
+class Tubes(Painter):
+    """Draws the shapes, and the tension in them."""
+
+    def place(self) -> None:
+        """Draw the shapes where they now stand."""
+        stage = self._sheaths.stage
+        if stage is None:
+            return
+        radius = self._config.tube_radius * stage.size
+        for tendon, line in stage.lines.items():
+            knots = line[::PIECES]
+            steps = np.diff(knots, axis=0)
+            tube = rr.Capsules3D(
+                translations=knots[:-1],
+                lengths=np.linalg.norm(steps, axis=1),
+                quaternions=compute_rotations_from_z(steps),
+                fill_mode="solid",
+            )
+            self._sender.send_static(f"scene/tendon_{tendon}/tube", tube)
+            style = {"radii": 1.8 * radius, "colors": FRONT}
+            self._set_style(f"scene/tendon_{tendon}/tube", rr.Points3D, **style)
+
+    def draw(self, tendon: int, rows: Rows) -> None:
+        """Draw T(x) and X' of some instants."""
+        stage = self._sheaths.stage
+        if stage is None or tendon not in stage.lines:
+            return
+        tension, length, front = rows["tension"], rows["length"], rows["front"]
+        middle = (tension[:, 1:] + tension[:, :-1]) / 2
+        colours = to_rgba(middle, self._config.tension_scale_N).ravel()
+        slides = find_sliding_segments(front, length)
+        radius = self._config.tube_radius * stage.size
+        radii = np.where(slides, radius, _STICKING_WIDTH * radius).astype(np.float32).ravel()
+        is_finite = np.isfinite(front)
+        at = interpolate_line(stage.lines[tendon], (front / length)[is_finite])
+        tube = build_columns(
+            rr.Capsules3D, np.full(len(rows), SEGMENTS), colors=colours, radii=radii
+        )
+        tube += build_columns(rr.Points3D, is_finite, positions=at)
+        self._sender.send_columns(f"scene/tendon_{tendon}/tube", rows, tube)
+
+
+def find_sliding_segments(front: Array, length: Array) -> NDArray[np.bool_]:
+    """Return for each segment of the profile whether its tendon slides: those before X'.
+
+    The newest movement has got as far as X'; beyond it friction still holds what the last one
+    left. A segment with X' in its middle or further on counts as sliding.
+    """
+    middles = (np.arange(SEGMENTS) + 0.5) / SEGMENTS
+    slides: NDArray[np.bool_] = middles <= (front / length)[:, None]
+    return slides
+
+
+def interpolate_line(line: Array, positions: Array) -> Array:
+    """Return the points of a line at `positions`, 0 at its start and 1 at its end."""
+    knots = np.linspace(0.0, 1.0, len(line))
+    return np.stack([np.interp(positions, knots, line[:, k]) for k in range(3)], axis=1)
