@@ -261,7 +261,7 @@ def bound_tip_tension(constants: DynamicConstants, T_law: float, T_out: float) -
     ln T_out is a superposition of plays of T_in, none wider than K; where K changes by a share of
     at most `peak`, no play, and so not ln T_out, differs by more than `peak` K.
     """
-    if not varies_friction(constants):
+    if not varies_friction(constants) or math.isinf(constants.function.peak):
         return T_out
     ratio = math.exp(constants.friction * constants.function.peak)
     return min(max(T_out, T_law / ratio), T_law * ratio)
