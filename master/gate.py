@@ -62,9 +62,13 @@ class GateFlags(IntFlag):
 
 
 # for compiled code, which does not support flags
-PASSED, NOT_ENGAGED, STALE, NOT_FINITE, AXIS_LIMIT, TOTAL_LIMIT, SLEW = map(
-    int, GateFlags.__members__.values()
-)
+PASSED = int(GateFlags.PASSED)
+NOT_ENGAGED = int(GateFlags.NOT_ENGAGED)
+STALE = int(GateFlags.STALE)
+NOT_FINITE = int(GateFlags.NOT_FINITE)
+AXIS_LIMIT = int(GateFlags.AXIS_LIMIT)
+TOTAL_LIMIT = int(GateFlags.TOTAL_LIMIT)
+SLEW = int(GateFlags.SLEW)
 
 
 @jit_compile

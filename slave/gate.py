@@ -72,9 +72,16 @@ class GateFlags(IntFlag):
 
 
 # for compiled code, which does not support flags
-PASSED, HELD, NOT_FINITE, TRAVEL, SPEED, TENSION, STALE, JOINT, FORCE, YIELDED = map(
-    int, GateFlags.__members__.values()
-)
+PASSED = int(GateFlags.PASSED)
+HELD = int(GateFlags.HELD)
+NOT_FINITE = int(GateFlags.NOT_FINITE)
+TRAVEL = int(GateFlags.TRAVEL)
+SPEED = int(GateFlags.SPEED)
+TENSION = int(GateFlags.TENSION)
+STALE = int(GateFlags.STALE)
+JOINT = int(GateFlags.JOINT)
+FORCE = int(GateFlags.FORCE)
+YIELDED = int(GateFlags.YIELDED)
 
 ALONE = 1.0 - 1e-6  # of a tendon's travel: what follows from it without those of antagonists
 
