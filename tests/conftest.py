@@ -15,6 +15,7 @@ from hypothesis import settings
 
 from tests.root import ROOT
 
+gc.disable()  # until all is collected: pytest rewrites asserts in trees of millions of objects
 # keys of this test run, also of the processes that it starts; not those of the user
 KEYS = os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="teleop-tests-")
 atexit.register(shutil.rmtree, KEYS, ignore_errors=True)
@@ -138,6 +139,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker("alone")
         if is_in(item.path, NO_CLOCK):
             item.add_marker(pytest.mark.flaky(reruns=0))
+
+
+def pytest_collection_finish() -> None:
+    gc.enable()
 
 
 @pytest.fixture(scope="module", autouse=True)
