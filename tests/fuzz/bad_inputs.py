@@ -8,19 +8,15 @@ Tables and configs: tests/teleop/data, tests/teleop/test_config.py, and `Fuzz`, 
 prints what was wrong, one line of JSON each.
 """
 
-import contextlib
 import io
 import json
 import os
 import random
 import resource
-import signal
 import struct
 import sys
-import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import lz4.frame
 import numpy as np
@@ -33,7 +29,6 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 from pyarrow import parquet
 
-from teleop.cli import commands
 from teleop.ros.message_types import (
     JOINT_STATE,
     VECTOR3,
@@ -44,33 +39,22 @@ from teleop.ros.message_types import (
     build_message,
     encode,
 )
-from tests.fuzz.cases import COLUMNS, recording_bytes
-from tests.fuzz.running import HANG_CPU_S, HANG_S, check, contents, hang, load_all
+from tests.fuzz.cases import COLUMNS, Case, Fuzz
+from tests.fuzz.running import judge
 
 MEMORY_MAX = 4_000_000_000  # [bytes] of address space, beyond what Python and its packages take; compiling takes 1
 SECOND_NS = 1_000_000_000
 MODEL = ("--set", "slave.tendons=[{effective_friction: 0.5}]")
 
 
-class BadInput(NamedTuple):
-    """A command line on a bad input."""
-
-    kind: str
-    words: list[str]
-    refused: bool = True  # with exit code 2; else it may be harmless, as a flipped bit is
-
-
-class BadInputs:
+class BadInputs(Fuzz):
     """Draws bad inputs into a folder; the same seed draws the same."""
 
-    def __init__(self, seed: int, folder: Path) -> None:
-        self.random, self.folder = random.Random(seed), folder  # noqa: S311
-
-    def draw(self) -> BadInput:
+    def draw(self) -> Case:
         """Return a bad input; its files are in the folder."""
-        kinds: list[Callable[[], BadInput]] = [
-            self.parquet, self.parquet, self.mutated_parquet, self.recording, self.recording,
-            self.mutated_recording, self.bag, self.bag, self.mutated_bag, self.no_file,
+        kinds: list[Callable[[], Case]] = [
+            self.parquet, self.parquet, self.mutated_parquet, self.chunk, self.chunk,
+            self.recording, self.bag, self.bag, self.mutated_bag, self.no_file,
         ]  # fmt: skip
         return self.random.choice(kinds)()
 
@@ -79,40 +63,19 @@ class BadInputs:
 
     # Parquet
 
-    def table(self) -> dict[str, pa.Array]:
+    def signals(self) -> dict[str, pa.Array]:
         time = 0.01 * np.arange(self.random.randint(20, 90))
         tension = 6.0 - 5.0 * np.cos(8.0 * time)
         values = [time, tension, 1e-4 * tension, 0.4 * tension, 1e-5 * tension]
         return dict(zip(COLUMNS, map(pa.array, values), strict=True))
 
-    def mutated_parquet(self) -> BadInput:
+    def mutated_parquet(self) -> Case:
         path = self.folder / "data.parquet"
-        path.write_bytes(self.mutate(self._parquet(self.table())))
-        return BadInput("mutated parquet", self.estimate(path), refused=False)
+        path.write_bytes(self.damage(self._to_parquet(self.signals())))
+        return Case(self.estimate(path))
 
-    def mutate(self, data: bytes) -> bytes:
-        """Return bytes in which some are changed, copied, cut out, or numbers made large."""
-        out = bytearray(data)
-        for _ in range(self.random.randint(1, 6)):
-            at = self.random.randrange(len(out))
-            kind = self.random.randrange(5)
-            if kind == 0:
-                out[at] ^= 1 << self.random.randrange(8)
-            elif kind == 1:
-                out[at : at + 4] = self.random.choice([b"\xff" * 4, bytes(4), b"\x7f\xff\xff\xff"])
-            elif kind == 2:
-                length = self.random.randint(1, 64)
-                out[at:at] = out[at - length : at]
-            elif kind == 3:
-                del out[at : at + self.random.randint(1, 64)]
-            else:
-                out[at : at + 8] = (1 << self.random.choice([20, 31, 33, 62])).to_bytes(8, "little")
-            if not out:
-                return b"\x00"
-        return bytes(out)
-
-    def parquet(self) -> BadInput:
-        columns = self.table()
+    def parquet(self) -> Case:
+        columns = self.signals()
         rows = len(columns["time_s"])
         name = self.random.choice(COLUMNS[:2])
         odd = {
@@ -146,7 +109,7 @@ class BadInputs:
             columns = {name: column[:0] for name, column in columns.items()}
         elif kind == "empty name":
             columns = {"" if name == c else c: column for c, column in columns.items()}
-        data = self._parquet(columns)
+        data = self._to_parquet(columns)
         if kind == "footer":
             length = self.random.choice([0, 7, len(data), 1 << 30, (1 << 32) - 1])
             data = data[:-8] + struct.pack("<I", length) + b"PAR1"
@@ -154,23 +117,23 @@ class BadInputs:
             data = data[: self.random.randrange(1, len(data))]
         path = self.folder / "data.parquet"
         path.write_bytes(data)
-        return BadInput(f"parquet {kind}", self.estimate(path))
+        return Case(self.estimate(path), refused=True)
 
     @staticmethod
-    def _parquet(columns: dict[str, pa.Array]) -> bytes:
+    def _to_parquet(columns: dict[str, pa.Array]) -> bytes:
         file = io.BytesIO()
         parquet.write_table(pa.table(columns), file)
         return file.getvalue()
 
     # recordings
 
-    def recording(self) -> BadInput:
+    def chunk(self) -> Case:
         kind = self.random.choice(list(CHUNKS))
         path = self.folder / "run.mcap"
         path.write_bytes(
             MCAP0_MAGIC + CHUNKS[kind](self.random) + self.random.choice([b"", b"\x0f"])
         )
-        return BadInput(f"recording {kind}", self._on_recording(path))
+        return Case(self._on_recording(path), refused=True)
 
     def _on_recording(self, path: Path) -> list[str]:
         return self.random.choice(
@@ -191,20 +154,9 @@ class BadInputs:
             ["recordings", "to-lerobot", str(path), "--out", str(out), "--task", "x"],
         ]
 
-    def mutated_recording(self) -> BadInput:
-        path = self.folder / "run.mcap"
-        path.write_bytes(self.mutate(recording_bytes(self.folder, self.random)))
-        words = self.random.choice(
-            [
-                self.estimate(path),
-                *self._conversions(path),
-            ]
-        )
-        return BadInput("mutated recording", words, refused=False)
-
     # bags
 
-    def bag(self) -> BadInput:
+    def bag(self) -> Case:
         folder = self.folder / "bag"
         folder.mkdir()
         kind = self.random.choice(list(BAGS))
@@ -227,18 +179,18 @@ class BadInputs:
             text = self.random.choice(METADATA)
         (folder / "metadata.yaml").write_text(text)
         words = [] if kind in ("units", "metadata") else [f"--column={c}" for c in NAMED]
-        return BadInput(f"bag {kind}", self.estimate(folder, *words))
+        return Case(self.estimate(folder, *words), refused=True)
 
-    def mutated_bag(self) -> BadInput:
+    def mutated_bag(self) -> Case:
         messages = [joint_state(k, {}) for k in range(40)]
         path = self.folder / "bag.mcap"
-        path.write_bytes(self.mutate(bag_bytes("/joint_states", JOINT_STATE, messages)))
+        path.write_bytes(self.damage(bag_bytes("/joint_states", JOINT_STATE, messages)))
         words = [f"--column={c}" for c in NAMED]
-        return BadInput("mutated bag", self.estimate(path, *words), refused=False)
+        return Case(self.estimate(path, *words))
 
     # what is no file
 
-    def no_file(self) -> BadInput:
+    def no_file(self) -> Case:
         suffix = self.random.choice(["csv", "csv.gz", "parquet", "mcap", "rrd", "yaml"])
         path = self.folder / f"data.{suffix}"
         kind = self.random.choice(["pipe", "zero", "full", "folder", "loop", "gone", "noise", "0"])
@@ -256,8 +208,7 @@ class BadInputs:
             path.write_bytes(b"")
         words = {"yaml": ["load", str(path)], "rrd": ["view", str(path), "--view", "web"]}
         refused = (suffix, kind) != ("yaml", "0")  # an empty config has defaults
-        command = words.get(suffix, self.estimate(path))
-        return BadInput(f"no file: {kind}.{suffix}", command, refused)
+        return Case(words.get(suffix, self.estimate(path)), refused=refused)
 
 
 def chunk(content: bytes, claimed: int | None = None, compression: str = "zstd") -> bytes:
@@ -351,46 +302,8 @@ def bag_bytes(name: str, kind: str, messages: list[bytes]) -> bytes:
     return MCAP0_MAGIC + header + chunk(content)
 
 
-def run(case: BadInput) -> tuple[object, str]:
-    """Run a case in this process; return the exit code and what it said."""
-    if case.words[0] == "load":
-        with contextlib.redirect_stderr(io.StringIO()) as said:
-            return load_all(Path(case.words[1])), said.getvalue()
-    said = io.StringIO()
-    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
-        try:
-            code = commands.main(case.words)
-        except SystemExit as end:
-            code = end.code
-    return code, said.getvalue()
-
-
-def judge(number: int, seed: int, folder: Path) -> dict[str, object] | None:
-    """Run one case; return what is wrong with its answer."""
-    case = BadInputs(seed * 1_000_000 + number, folder).draw()
-    before = contents(folder)
-    signal.alarm(HANG_S)
-    signal.setitimer(signal.ITIMER_PROF, HANG_CPU_S)
-    try:
-        code, said = run(case)
-        check(case.words, (folder / "bag",), code, said, before, contents(folder))
-        assert code == 2 or not case.refused, f"exit code {code}: {said}"
-    except BaseException as error:
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        return {
-            "number": number, "kind": case.kind, "words": case.words, "error": repr(error)[:500],
-            "place": f"{place.filename}:{place.lineno}",
-        }  # fmt: skip
-    finally:
-        signal.alarm(0)
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-    return None
-
-
 def main(seed: int, first: int, end: int, folder: Path) -> None:
     """Run cases in bounded memory."""
-    signal.signal(signal.SIGALRM, hang)
-    signal.signal(signal.SIGPROF, hang)
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + MEMORY_MAX
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
@@ -398,7 +311,7 @@ def main(seed: int, first: int, end: int, folder: Path) -> None:
         place = folder / str(number)
         place.mkdir()
         os.chdir(place)
-        if wrong := judge(number, seed, place):
+        if wrong := judge(BadInputs(seed * 1_000_000 + number, place).draw(), place):
             print(json.dumps(wrong), flush=True)
     print(json.dumps({"ran": end - first}), flush=True)
 

@@ -43,6 +43,7 @@ class Case(NamedTuple):
 
     words: list[str]
     outputs: tuple[Path, ...] = ()
+    refused: bool = False  # whether only exit code 2 is right
 
 
 class Fuzz:
@@ -176,9 +177,9 @@ class Fuzz:
         return file.getvalue()
 
     def damage(self, data: bytes) -> bytes:
-        """Return bytes that are cut, changed, doubled or filled up."""
+        """Return bytes that are cut, changed, doubled, filled up, or numbers made large."""
         at = self.random.randrange(len(data) + 1)
-        kind, changed = self.random.randrange(6), bytearray(data)
+        kind, changed = self.random.randrange(7), bytearray(data)
         if kind == 0:
             return data[:at]
         if kind == 1:
@@ -187,6 +188,9 @@ class Fuzz:
             return data[:at] + bytes(self.random.randint(1, 400))
         if kind == 3:
             return data[at:]
+        if kind == 4:
+            changed[at : at + 8] = (1 << self.random.choice([20, 31, 33, 62])).to_bytes(8, "little")
+            return bytes(changed)
         for _ in range(self.random.randint(1, 20) if changed else 0):
             changed[self.random.randrange(len(changed))] ^= 1 << self.random.randrange(8)
         return bytes(changed)
