@@ -50,31 +50,31 @@ MODEL = ("--set", "slave.tendons=[{effective_friction: 0.5}]")
 class BadInputs(Fuzz):
     """Draws bad inputs into a folder; the same seed draws the same."""
 
-    def draw(self) -> Case:
+    def draw(self):
         """Return a bad input; its files are in the folder."""
-        kinds: list[Callable[[], Case]] = [
+        kinds = [
             self.parquet, self.parquet, self.mutated_parquet, self.chunk, self.chunk,
             self.recording, self.bag, self.bag, self.mutated_bag, self.no_file,
         ]  # fmt: skip
         return self.random.choice(kinds)()
 
-    def estimate(self, path: Path, *words: str) -> list[str]:
+    def estimate(self, path, *words):
         return ["estimate", str(path), *MODEL, *words]
 
     # Parquet
 
-    def signals(self) -> dict[str, pa.Array]:
+    def signals(self):
         time = 0.01 * np.arange(self.random.randint(20, 90))
         tension = 6.0 - 5.0 * np.cos(8.0 * time)
         values = [time, tension, 1e-4 * tension, 0.4 * tension, 1e-5 * tension]
         return dict(zip(COLUMNS, map(pa.array, values), strict=True))
 
-    def mutated_parquet(self) -> Case:
+    def mutated_parquet(self):
         path = self.folder / "data.parquet"
         path.write_bytes(self.damage(self._to_parquet(self.signals())))
         return Case(self.estimate(path))
 
-    def parquet(self) -> Case:
+    def parquet(self):
         columns = self.signals()
         rows = len(columns["time_s"])
         name = self.random.choice(COLUMNS[:2])
@@ -120,14 +120,14 @@ class BadInputs(Fuzz):
         return Case(self.estimate(path), refused=True)
 
     @staticmethod
-    def _to_parquet(columns: dict[str, pa.Array]) -> bytes:
+    def _to_parquet(columns):
         file = io.BytesIO()
         parquet.write_table(pa.table(columns), file)
         return file.getvalue()
 
     # recordings
 
-    def chunk(self) -> Case:
+    def chunk(self):
         kind = self.random.choice(list(CHUNKS))
         path = self.folder / "run.mcap"
         path.write_bytes(
@@ -135,7 +135,7 @@ class BadInputs(Fuzz):
         )
         return Case(self._on_recording(path), refused=True)
 
-    def _on_recording(self, path: Path) -> list[str]:
+    def _on_recording(self, path):
         return self.random.choice(
             [
                 self.estimate(path),
@@ -146,7 +146,7 @@ class BadInputs(Fuzz):
             ]
         )
 
-    def _conversions(self, path: Path) -> list[list[str]]:
+    def _conversions(self, path):
         out = self.folder / "out"
         return [
             ["recordings", "to-ros2", str(path), "--out", str(out)],
@@ -156,7 +156,7 @@ class BadInputs(Fuzz):
 
     # bags
 
-    def bag(self) -> Case:
+    def bag(self):
         folder = self.folder / "bag"
         folder.mkdir()
         kind = self.random.choice(list(BAGS))
@@ -181,7 +181,7 @@ class BadInputs(Fuzz):
         words = [] if kind in ("units", "metadata") else [f"--column={c}" for c in NAMED]
         return Case(self.estimate(folder, *words), refused=True)
 
-    def mutated_bag(self) -> Case:
+    def mutated_bag(self):
         messages = [joint_state(k, {}) for k in range(40)]
         path = self.folder / "bag.mcap"
         path.write_bytes(self.damage(bag_bytes("/joint_states", JOINT_STATE, messages)))
@@ -190,7 +190,7 @@ class BadInputs(Fuzz):
 
     # what is no file
 
-    def no_file(self) -> Case:
+    def no_file(self):
         suffix = self.random.choice(["csv", "csv.gz", "parquet", "mcap", "rrd", "yaml"])
         path = self.folder / f"data.{suffix}"
         kind = self.random.choice(["pipe", "zero", "full", "folder", "loop", "gone", "noise", "0"])
@@ -211,7 +211,7 @@ class BadInputs(Fuzz):
         return Case(words.get(suffix, self.estimate(path)), refused=refused)
 
 
-def chunk(content: bytes, claimed: int | None = None, compression: str = "zstd") -> bytes:
+def chunk(content, claimed=None, compression="zstd"):
     """Return the record of a chunk that claims a size."""
     pack = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}.get(compression, bytes)
     builder = RecordBuilder()
@@ -220,7 +220,7 @@ def chunk(content: bytes, claimed: int | None = None, compression: str = "zstd")
     return builder.end()
 
 
-def topic(schema: bytes, messages: list[bytes], name: str = "/tendons") -> bytes:
+def topic(schema, messages, name="/tendons"):
     """Return the records of a topic: schema, channel and messages."""
     builder = RecordBuilder()
     kind = "tendon_teleop/msg/TendonState"
@@ -231,16 +231,16 @@ def topic(schema: bytes, messages: list[bytes], name: str = "/tendons") -> bytes
     return builder.end()
 
 
-def _channel(name: str) -> records.Channel:
+def _channel(name):
     return records.Channel(id=1, topic=name, message_encoding="cdr", metadata={}, schema_id=1)
 
 
-def _message(data: bytes, k: int) -> records.Message:
+def _message(data, k):
     stamp = 10**18 + k
     return records.Message(channel_id=1, data=data, log_time=stamp, publish_time=stamp, sequence=k)
 
 
-def frame(opcode: Opcode, length: int, body: bytes = b"") -> bytes:
+def frame(opcode, length, body=b""):
     return struct.pack("<BQ", opcode, length) + body
 
 
@@ -283,13 +283,13 @@ METADATA = (
 )  # fmt: skip
 
 
-def joint_state(k: int, changes: dict[str, tuple[float, ...]]) -> bytes:
+def joint_state(k, changes):
     fields = {"position": (0.001 * k,), "effort": (1.0 + 0.1 * k,)} | changes
     header = build_header(1000 * SECOND_NS + k * 10_000_000)
     return encode(build_joint_state(header, ("a",), **fields))
 
 
-def bag_bytes(name: str, kind: str, messages: list[bytes]) -> bytes:
+def bag_bytes(name, kind, messages):
     """Return an MCAP file of one topic, in one chunk."""
     builder = RecordBuilder()
     records.Schema(data=b"", encoding="ros2msg", id=1, name=kind).write(builder)
@@ -302,7 +302,7 @@ def bag_bytes(name: str, kind: str, messages: list[bytes]) -> bytes:
     return MCAP0_MAGIC + header + chunk(content)
 
 
-def main(seed: int, first: int, end: int, folder: Path) -> None:
+def main(seed, first, end, folder):
     """Run cases in bounded memory."""
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + MEMORY_MAX

@@ -5,17 +5,15 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from studies.testbed.processes import OURS, START_S, Processes, find_free_ports, has_ended_well
 from teleop.cli import commands
 from teleop.launch.supervisor import wait_for_condition
-from teleop.link import Link, Listener
+from teleop.link import Link
 from teleop.messages.messages import Event, decode_text
 from teleop.messages.topics import EVENT, STATE, Role
 from teleop.security.revocation import REVOKED
@@ -30,7 +28,7 @@ TOGETHER = ("master", "slave", "supervisor", "recorder", "viewer")
 DAY_S = 86_400.0
 
 
-def issue(folder: Path, out: str, *roles: str, session: str = SESSION) -> Path:
+def issue(folder, out, *roles, session=SESSION):
     """Keys by the command, of one authority per folder."""
     home = folder / "authority"
     if not home.exists():
@@ -43,7 +41,7 @@ def issue(folder: Path, out: str, *roles: str, session: str = SESSION) -> Path:
     return out_folder
 
 
-def revoke(folder: Path, keys: Path, name: str) -> None:
+def revoke(folder, keys, name):
     """Revoke a certificate by the command, and bring the list to the keys."""
     home = folder / "authority"
     assert commands.main(["keys", "revoke", str(home), str(keys / f"{name}.pem")]) == 0
@@ -53,32 +51,30 @@ def revoke(folder: Path, keys: Path, name: str) -> None:
 class Heard:
     """What the processes of a session say."""
 
-    def __init__(self, listener: Listener) -> None:
+    def __init__(self, listener):
         self._listener = listener
-        self.lines: list[tuple[int, str]] = []
+        self.lines = []
 
-    def said(self, role: Role, text: str) -> bool:
+    def said(self, role, text):
         events = (Event.unpack(item.data) for item in self._listener.drain())
         self.lines += [(event.role, decode_text(event.text)) for event in events]
         return any(by == role and text in line for by, line in self.lines)
 
 
 @contextmanager
-def watched(session: Processes, keys: Path) -> Iterator[tuple[Link, Heard]]:
+def watched(session, keys):
     link_config = replace(session.link_config, keys=keys)
     with Link(link_config, session.session, Role.LAUNCHER) as link:
         link.subscribe_latest(STATE)
         yield link, Heard(link.listen((EVENT,)))
 
 
-def has_let_go(link: Link) -> bool:
+def has_let_go(link):
     state = link.take_latest(STATE).message
     return state is not None and state.state in (State.HOLDING, State.FAULT)
 
 
-def test_a_revoked_master_is_parted_from_while_it_is_engaged(
-    tmp_path: Path, demo_config: Path
-) -> None:
+def test_a_revoked_master_is_parted_from_while_it_is_engaged(tmp_path, demo_config):
     keys = issue(tmp_path, "keys", *TOGETHER)
     with Processes(tmp_path, demo_config, f"link.keys={keys}", *HELD) as session:
         session.take_name(SESSION)
@@ -100,7 +96,7 @@ def test_a_revoked_master_is_parted_from_while_it_is_engaged(
         assert revoked in said
 
 
-def run_one(session: Processes, command: str) -> tuple[int, str]:
+def run_one(session, command):
     """A command that ends by itself; its exit code and error lines."""
     done = subprocess.run(
         [sys.executable, "-m", "teleop", command, *session.shared],
@@ -109,7 +105,7 @@ def run_one(session: Processes, command: str) -> tuple[int, str]:
     return done.returncode, done.stderr
 
 
-def test_a_run_with_keys_of_the_command(tmp_path: Path, demo_config: Path) -> None:
+def test_a_run_with_keys_of_the_command(tmp_path, demo_config):
     keys = issue(tmp_path, "keys", *TOGETHER)
     ends = [f"127.0.0.1:{port}" for port in find_free_ports(2)]
     words = run_words(demo_config, tmp_path, keys, *ends)
@@ -134,7 +130,7 @@ def test_a_run_with_keys_of_the_command(tmp_path: Path, demo_config: Path) -> No
     assert len(done.stderr.splitlines()) == 1
 
 
-def run_words(config: Path, folder: Path, keys: Path, master: str, slave: str) -> list[str]:
+def run_words(config, folder, keys, master, slave):
     words = [sys.executable, "-m", "teleop", "run", "--config", str(config), "--view", "none"]
     for text in (
         f"session={SESSION}", f"link.keys={keys}", f"link.master={master}", f"link.slave={slave}",
@@ -143,9 +139,7 @@ def run_words(config: Path, folder: Path, keys: Path, master: str, slave: str) -
     return [*words, "--json", str(folder / "run.json")]
 
 
-def test_a_run_is_stopped_from_another_machine_by_who_may_and_by_nobody_else(
-    tmp_path: Path, demo_config: Path
-) -> None:
+def test_a_run_is_stopped_from_another_machine_by_who_may_and_by_nobody_else(tmp_path, demo_config):
     require_namespaces()
     keys = issue(tmp_path, "rig-keys", *TOGETHER)
     desk = issue(tmp_path, "desk-keys", "supervisor")
@@ -158,10 +152,10 @@ def test_a_run_is_stopped_from_another_machine_by_who_may_and_by_nobody_else(
         switch = [word for text in HELD for word in ("--set", text)]
         network.start("rig", [*words, *switch], tmp_path / "run.log")
 
-        def text() -> str:
+        def text():
             return (tmp_path / "run.log").read_text()
 
-        def stop(keys: Path, name: str) -> tuple[int, str]:
+        def stop(keys, name):
             log = tmp_path / f"{name}.log"
             command = [sys.executable, "-m", "teleop", "stop", "--config", str(demo_config)]
             for item in (

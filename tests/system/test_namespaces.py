@@ -2,9 +2,7 @@
 
 import json
 import signal
-import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,15 +26,15 @@ SESSION = "room-1"
 class Theatre:
     """A session whose sides meet at a router between them; the recorder runs at the router."""
 
-    def __init__(self, folder: Path, config: Path) -> None:
+    def __init__(self, folder, config):
         self.folder = folder
         self.network = Network(
             ("master", "router", "slave"), (("router", "master"), ("router", "slave"))
         )
         self._config = config
-        self.running: dict[str, subprocess.Popen[bytes]] = {}
+        self.running = {}
 
-    def __enter__(self) -> "Theatre":
+    def __enter__(self):
         self.network.__enter__()
         self.routers = {
             side: f"{self.network.address['router', side]}:7450" for side in ("master", "slave")
@@ -44,10 +42,10 @@ class Theatre:
         issue_keys(self.folder)
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         self.network.__exit__()
 
-    def start_all(self) -> None:
+    def start_all(self):
         listen = [f"--listen={end}" for end in self.routers.values()]
         self._start(
             "router",
@@ -68,26 +66,26 @@ class Theatre:
         self._join("master", "master", self.routers["master"], "--set", switch, "--set", period)
         self.wait_for_text("watch", "slave engaged")
 
-    def _join(self, host: str, command: str, router: str, *more: str) -> None:
+    def _join(self, host, command, router, *more):
         keys = self.folder / f"{command}-keys"
         shared = [f'link.routers=["{router}"]', f"link.keys={keys}", f"session={SESSION}"]
         words = [f"--set={text}" for text in shared]
         summary = str(self.folder / f"{command}.json")
         self._start(host, command, "--config", str(self._config), *words, "--json", summary, *more)
 
-    def _start(self, host: str, command: str, *words: str) -> None:
+    def _start(self, host, command, *words):
         whole = [sys.executable, "-m", "teleop", command, *words]
         self.running[command] = self.network.start(host, whole, self.folder / f"{command}.log")
 
-    def text(self, command: str) -> str:
+    def text(self, command):
         return (self.folder / f"{command}.log").read_text()
 
-    def wait_for_text(self, command: str, words: str) -> None:
+    def wait_for_text(self, command, words):
         assert wait_for_condition(lambda: words in self.text(command), 2 * START_S), self.text(
             command
         )
 
-    def cut(self, side: str, seconds: float) -> tuple[int, int]:
+    def cut(self, side, seconds):
         """Pull the cable of a side for some time; return when [ns]."""
         self.network.plug("router", side, up=False)
         begin = now_ns()
@@ -96,7 +94,7 @@ class Theatre:
         self.network.plug("router", side, up=True)
         return begin, end
 
-    def end(self) -> dict[str, dict]:
+    def end(self):
         """End all; return the summaries."""
         for command in ("master", "slave", "record", "router"):
             self.running[command].send_signal(signal.SIGINT)
@@ -107,12 +105,12 @@ class Theatre:
         }
 
     @property
-    def recording(self) -> Path:
+    def recording(self):
         (path,) = self.folder.glob("*.mcap")
         return path
 
 
-def issue_keys(folder: Path) -> None:
+def issue_keys(folder):
     """Make an authority, and the keys of each process in a folder of its own."""
     authority = str(folder / "authority")
     assert commands.main(["keys", "init", authority]) == 0
@@ -127,7 +125,7 @@ def issue_keys(folder: Path) -> None:
         assert commands.main(["keys", "issue", authority, *keys]) == 0
 
 
-def spans(stamps: np.ndarray, truth: np.ndarray) -> list[tuple[int, int]]:
+def spans(stamps, truth):
     """Return the first and last stamp [ns] of each run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], truth.astype(int), [0]))))
     return [(int(stamps[a]), int(stamps[b - 1])) for a, b in zip(edges[::2], edges[1::2])]  # noqa: B905

@@ -4,14 +4,12 @@ import struct
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
 from studies.testbed.processes import OURS, START_S, Processes
 from teleop.launch.supervisor import wait_for_condition
-from teleop.link import Link
-from teleop.messages.messages import LAYOUT, Event, SlaveState, decode_text
+from teleop.messages.messages import LAYOUT, Event, decode_text
 from teleop.messages.topics import EVENT, HAND, STATE, Role
 from teleop.security import CertificateRole
 from teleop.security.credentials import create_local_credentials
@@ -25,13 +23,13 @@ FAR = struct.pack("<8d", *(0.014,) * 8)  # [m]
 TAKE_OVER = ((STATE_AT, struct.pack("<I", ENGAGED)), (POSITION_AT, FAR))
 
 
-def state_of(link: Link) -> SlaveState:
+def state_of(link):
     message = link.take_latest(STATE).message
     assert message is not None
     return message
 
 
-def rogue_of(session: Processes, role: CertificateRole) -> Rogue:
+def rogue_of(session, role):
     ends = [session.link_config.slave, session.link_config.master]
     tls = create_local_credentials(session.session, role).build_tls_settings()
     rogue = Rogue(ends, session.session, tls)
@@ -40,7 +38,7 @@ def rogue_of(session: Processes, role: CertificateRole) -> Rogue:
     return rogue
 
 
-def attack(rogue: Rogue, sides: tuple[int, int], seconds: float) -> None:
+def attack(rogue, sides, seconds):
     """Everything at once: forged and played-back messages, tokens, resets, settings."""
     command, tags = next(item for item in reversed(rogue.heard["command"]))
     state, _ = rogue.heard["state"][-1]
@@ -60,13 +58,13 @@ def attack(rogue: Rogue, sides: tuple[int, int], seconds: float) -> None:
         time.sleep(0.002)
 
 
-def teleop(session: Processes, *words: str) -> int:
+def teleop(session, *words):
     command = [sys.executable, "-m", "teleop", *words, *session.shared]
     return subprocess.run(command, env=OURS, timeout=60, check=False).returncode
 
 
 @pytest.mark.slow
-def test_a_rogue_beside_a_session_moves_nothing(demo_config: Path, tmp_path: Path) -> None:
+def test_a_rogue_beside_a_session_moves_nothing(demo_config, tmp_path):
     late = "master.device.engage=[[25, 55]]", "master.device.engage_period=60"
     with Processes(tmp_path, demo_config, *late) as session:
         session.start("slave")
@@ -103,9 +101,9 @@ def test_a_rogue_beside_a_session_moves_nothing(demo_config: Path, tmp_path: Pat
         assert (Role.SLAVE, "refused: messages of the peer with a wrong tag") in lines
 
 
-def watch(link: Link, seconds: float) -> dict[str, list[State]]:
+def watch(link, seconds):
     """Return the states that each side was seen in, in order."""
-    seen: dict[str, list[State]] = {"master": [], "slave": []}
+    seen = {"master": [], "slave": []}
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         for side, topic in (("master", HAND), ("slave", STATE)):
@@ -118,9 +116,7 @@ def watch(link: Link, seconds: float) -> dict[str, list[State]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("role", [CertificateRole.ROUTER, CertificateRole.VIEWER])
-def test_standing_tokens_interrupt_no_engagement(
-    demo_config: Path, tmp_path: Path, role: CertificateRole
-) -> None:
+def test_standing_tokens_interrupt_no_engagement(demo_config, tmp_path, role):
     period = 4.0  # [s]
     hand = "master.device.engage=[[1, 3.5]]", f"master.device.engage_period={period}"
     with Processes(tmp_path, demo_config, "rate_hz=250", *hand) as session:

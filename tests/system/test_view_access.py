@@ -120,11 +120,7 @@ def test_without_the_secret_nothing_is_answered(view):
         {"Origin": "null"},
         {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "no-cors"},
         {"Sec_Fetch_Site": "same-site", "Sec_Fetch_Mode": "cors"},
-        {
-            "Sec_Fetch_Site": "cross-site",
-            "Sec_Fetch_Mode": "navigate",
-            "Sec_Fetch_Dest": "iframe",
-        },
+        {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "navigate", "Sec_Fetch_Dest": "iframe"},
     ],
 )
 def test_another_name_or_page_is_refused_even_with_the_secret(view, asked):

@@ -12,10 +12,10 @@ from teleop.messages.topics import COMMAND, STATE, Role
 from teleop.session.state_machine import State
 
 
-def main(router: str, keys: str, session: str) -> None:
+def main(router, keys, session):
     """Watch until killed."""
     config = LinkConfig(routers=(router,), keys=Path(keys))
-    seen: dict[str, int] = {}
+    seen = {}
     with Link(config, session, Role.VIEWER) as link:
         while True:
             for side, topic in (("master", COMMAND), ("slave", STATE)):

@@ -10,14 +10,7 @@ from hypothesis import strategies as st
 
 from teleop.errors import TeleopError
 from teleop.runtime import clock
-from teleop.runtime.clock import (
-    EventClock,
-    Grid,
-    SuspensionWatch,
-    Tick,
-    now_ns,
-    pause_garbage_collection,
-)
+from teleop.runtime.clock import EventClock, Grid, SuspensionWatch, now_ns, pause_garbage_collection
 
 MS = 1_000_000
 
@@ -25,20 +18,18 @@ MS = 1_000_000
 class World:
     """A clock that stands still unless someone sleeps or works; sleeping overshoots."""
 
-    def __init__(self, overshoot_ns: int = 0) -> None:
+    def __init__(self, overshoot_ns=0):
         self.now_ns = 1_000 * MS
         self.overshoot_ns = overshoot_ns
 
-    def now(self) -> int:
+    def now(self):
         return self.now_ns
 
-    def sleep(self, seconds: float) -> None:
+    def sleep(self, seconds):
         self.now_ns += round(seconds * 1e9) + self.overshoot_ns
 
 
-def run(
-    world: World, work_ns: list[int], rate_hz: float = 1000.0, phase: float = 0.0
-) -> tuple[Grid, list[Tick], list[int]]:
+def run(world, work_ns, rate_hz=1000.0, phase=0.0):
     """Run one tick for each entry of `work_ns`, which is how long it takes."""
     left = list(work_ns)
     grid = Grid(rate_hz, lambda: not left, phase, world.now, world.sleep)
@@ -50,13 +41,13 @@ def run(
     return grid, ticks, begun
 
 
-def test_stamps_never_go_back_and_name_the_date() -> None:
+def test_stamps_never_go_back_and_name_the_date():
     stamps = [now_ns() for _ in range(1000)]
     assert stamps == sorted(stamps)
     assert abs(stamps[-1] - time.time_ns()) < 60e9
 
 
-def test_oversleeping_does_not_add_up() -> None:
+def test_oversleeping_does_not_add_up():
     world = World(overshoot_ns=80_000)
     grid, ticks, begun = run(world, [300_000] * 1000)
     assert begun[-1] - begun[0] == pytest.approx(999 * MS, abs=MS)
@@ -67,7 +58,7 @@ def test_oversleeping_does_not_add_up() -> None:
     assert all(t.dt == pytest.approx(0.001) for t in ticks)
 
 
-def test_an_overrun_skips_whole_periods_and_never_catches_up_in_a_burst() -> None:
+def test_an_overrun_skips_whole_periods_and_never_catches_up_in_a_burst():
     world = World()
     work = [300_000] * 10 + [5_600_000] + [300_000] * 10
     grid, ticks, begun = run(world, work)
@@ -80,9 +71,7 @@ def test_an_overrun_skips_whole_periods_and_never_catches_up_in_a_burst() -> Non
 
 
 @given(st.lists(st.integers(0, 12 * MS), min_size=2, max_size=80), st.integers(0, 3 * MS))
-def test_ticks_stay_on_the_grid_and_dt_adds_up_to_the_time_passed(
-    work: list[int], overshoot: int
-) -> None:
+def test_ticks_stay_on_the_grid_and_dt_adds_up_to_the_time_passed(work, overshoot):
     world = World(overshoot)
     start = world.now_ns
     grid, ticks, begun = run(world, work)
@@ -96,9 +85,7 @@ def test_ticks_stay_on_the_grid_and_dt_adds_up_to_the_time_passed(
 
 
 @given(st.integers(0, 10**18), st.sampled_from([0.0, 0.25, 0.5]))
-def test_grids_of_one_rate_keep_their_distance_whenever_they_start(
-    start: int, phase: float
-) -> None:
+def test_grids_of_one_rate_keep_their_distance_whenever_they_start(start, phase):
     world = World()
     world.now_ns = start
     _, _, begun = run(world, [100_000] * 5, phase=phase)
@@ -107,13 +94,11 @@ def test_grids_of_one_rate_keep_their_distance_whenever_they_start(
 
 
 @pytest.mark.real_time
-def test_grids_agree_although_the_system_clock_was_stepped_between_their_starts(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_grids_agree_although_the_system_clock_was_stepped_between_their_starts(monkeypatch):
     phases = []
     for anchor_ns in (0, 300 * MS, 10**18 + 700 * MS):
         monkeypatch.setattr(clock, "_ANCHOR_NS", anchor_ns)
-        targets: list[int] = []
+        targets = []
         grid = Grid(
             1.0,
             stop=lambda targets=targets: bool(targets),
@@ -126,8 +111,8 @@ def test_grids_agree_although_the_system_clock_was_stepped_between_their_starts(
     assert all(min(phase, 1.0 - phase) < 0.1 for phase in phases)  # 0.3 and 0.7 by the date
 
 
-def test_the_collector_is_quiet_inside_and_back_outside_even_after_an_error() -> None:
-    def loop() -> None:
+def test_the_collector_is_quiet_inside_and_back_outside_even_after_an_error():
+    def loop():
         with pause_garbage_collection():
             assert not gc.isenabled()
             assert gc.get_freeze_count() > 0
@@ -142,14 +127,12 @@ def test_the_collector_is_quiet_inside_and_back_outside_even_after_an_error() ->
         gc.freeze()
 
 
-def answered(
-    arrivals_ns: list[int], until_ns: int, work_ns: int = 100_000
-) -> tuple[EventClock, list[tuple[int, Tick]]]:
+def answered(arrivals_ns, until_ns, work_ns=100_000):
     """Run an event clock of 1 kHz over arrivals at these times; return when each tick began."""
     world, left, ticks = World(), sorted(arrivals_ns), []
     start = world.now_ns
 
-    def wait(deadline: int) -> bool:
+    def wait(deadline):
         if left and start + left[0] <= max(deadline, world.now_ns):
             world.now_ns = max(world.now_ns, start + left[0])
             while left and start + left[0] <= world.now_ns:
@@ -167,7 +150,7 @@ def answered(
     return events, ticks
 
 
-def test_every_arrival_is_a_tick_at_once_however_it_jitters() -> None:
+def test_every_arrival_is_a_tick_at_once_however_it_jitters():
     arrivals = [k * MS + (k * 7919) % 400_000 for k in range(1, 500)]
     _, ticks = answered(arrivals, 500 * MS)
     begun = [at for at, tick in ticks if tick.answers]
@@ -175,14 +158,14 @@ def test_every_arrival_is_a_tick_at_once_however_it_jitters() -> None:
     assert sum(not tick.answers for _, tick in ticks) <= 3  # before the first, behind the last
 
 
-def test_without_arrivals_it_keeps_its_own_rate() -> None:
+def test_without_arrivals_it_keeps_its_own_rate():
     events, ticks = answered([], 1000 * MS)
     assert not any(tick.answers for _, tick in ticks)
     assert len(ticks) == pytest.approx(1000, abs=2)
     assert events.stats.overruns == 0
 
 
-def test_a_missing_arrival_is_made_up_for_by_the_deadline() -> None:
+def test_a_missing_arrival_is_made_up_for_by_the_deadline():
     arrivals = [k * MS for k in range(1, 100) if k != 50]
     _, ticks = answered(arrivals, 99 * MS)
     (missed,) = [at for at, tick in ticks if not tick.answers and at > MS]
@@ -201,7 +184,7 @@ def suspend(monkeypatch):
     return suspend
 
 
-def test_a_suspension_is_told_once_and_being_held_up_is_none(suspend, monkeypatch) -> None:
+def test_a_suspension_is_told_once_and_being_held_up_is_none(suspend, monkeypatch):
     watch = SuspensionWatch()
     suspend(50 * MS)
     assert watch.explain() == ""
@@ -216,10 +199,10 @@ def test_a_suspension_is_told_once_and_being_held_up_is_none(suspend, monkeypatc
     assert SuspensionWatch().explain() == ""
 
 
-def test_no_tick_follows_a_suspension(suspend) -> None:
+def test_no_tick_follows_a_suspension(suspend):
     world, ticks = World(), []
 
-    def wait(deadline: int) -> bool:
+    def wait(deadline):
         world.now_ns = deadline
         if len(ticks) == 5:
             suspend(200 * MS)
@@ -230,13 +213,8 @@ def test_no_tick_follows_a_suspension(suspend) -> None:
     assert len(ticks) == 5
 
 
-@given(
-    st.lists(st.integers(0, 20 * MS), max_size=300),
-    st.integers(0, 3 * MS),
-)
-def test_ticks_are_never_nearer_than_half_a_period_and_tell_the_time(
-    arrivals: list[int], work_ns: int
-) -> None:
+@given(st.lists(st.integers(0, 20 * MS), max_size=300), st.integers(0, 3 * MS))
+def test_ticks_are_never_nearer_than_half_a_period_and_tell_the_time(arrivals, work_ns):
     _, ticks = answered(arrivals, 30 * MS, work_ns)
     times = [at for at, _ in ticks]
     for before, (at, tick) in zip(times, ticks[1:], strict=False):

@@ -27,7 +27,7 @@ class Simulated:
     seed: int = 0
     noise: float = 0.1  # [N]
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         if self.noise < 0:
             raise ValueError("noise: is below 0; allowed is 0 or more")
 
@@ -67,7 +67,7 @@ class Everything:
     enabled: bool = True
     optional: Force | None = None
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         if self.tendons < 1:
             raise ValueError("tendons: allowed are 1 to 16")
         if self.force.limit > 50:
@@ -76,19 +76,19 @@ class Everything:
             raise ValueError("an unlucky combination")
 
 
-def write(folder: Path, text: str) -> Path:
+def write(folder, text):
     path = folder / "config.yaml"
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def of(folder: Path, text: str, *overrides: str) -> Everything:
+def of(folder, text, *overrides):
     """Load `text` as the section `slave`."""
     indented = "".join(f"  {line}\n" for line in text.splitlines())
     return load(write(folder, "slave:\n" + indented), Everything, "slave", overrides)
 
 
-def refusal(folder: Path, text: str, *overrides: str) -> str:
+def refusal(folder, text, *overrides):
     """Return the line a bad section is refused with, checked to be one line that names the file."""
     with pytest.raises(UsageError) as caught:
         of(folder, text, *overrides)
@@ -98,7 +98,7 @@ def refusal(folder: Path, text: str, *overrides: str) -> str:
     return line
 
 
-def test_defaults_without_a_file_and_from_an_empty_one(tmp_path: Path) -> None:
+def test_defaults_without_a_file_and_from_an_empty_one(tmp_path):
     assert load(None, Everything, "slave") == Everything()
     for text in ("", "# nothing\n", "slave:\n", "master:\n"):
         assert load(write(tmp_path, text), Everything, "slave") == Everything()
@@ -106,7 +106,7 @@ def test_defaults_without_a_file_and_from_an_empty_one(tmp_path: Path) -> None:
     assert built == Everything(Simulated(seed=2), (Section(0.5), Section(0.2, 0.03)))
 
 
-def test_every_kind_of_value(tmp_path: Path) -> None:
+def test_every_kind_of_value(tmp_path):
     built = of(
         tmp_path,
         """
@@ -139,7 +139,7 @@ optional: {limit: 2}
     assert built.optional == Force(limit=2.0)
 
 
-def test_what_a_nested_mapping_leaves_out_keeps_the_default_of_its_field(tmp_path: Path) -> None:
+def test_what_a_nested_mapping_leaves_out_keeps_the_default_of_its_field(tmp_path):
     assert of(tmp_path, "force: {limit: 7}").force == Force(scale=3.0, limit=7.0)
     assert of(tmp_path, "force:").force == Force(scale=3.0)
 
@@ -186,9 +186,7 @@ def test_what_a_nested_mapping_leaves_out_keeps_the_default_of_its_field(tmp_pat
         ("sections: {type: bent}", "slave.sections", "[{type: bent, ...}] is wanted"),
     ],
 )
-def test_a_wrong_value_is_named_by_file_key_value_and_remedy(
-    tmp_path: Path, text: str, key: str, says: str
-) -> None:
+def test_a_wrong_value_is_named_by_file_key_value_and_remedy(tmp_path, text, key, says):
     line = refusal(tmp_path, text)
     assert f": {key}: " in line
     assert says in line
@@ -217,9 +215,7 @@ def test_a_wrong_value_is_named_by_file_key_value_and_remedy(
         (b"signs: []\n", "name it as signs in master.device"),
     ],
 )
-def test_a_file_that_is_no_config_is_refused_in_one_line(
-    tmp_path: Path, content: bytes, says: str
-) -> None:
+def test_a_file_that_is_no_config_is_refused_in_one_line(tmp_path, content, says):
     path = tmp_path / "config.yaml"
     path.write_bytes(content)
     with pytest.raises(UsageError) as caught:
@@ -238,8 +234,8 @@ def test_a_file_that_is_no_config_is_refused_in_one_line(
     ],
 )
 def test_numbers_are_read_as_one_expects_and_yaml_1_1_s_surprises_are_text(
-    tmp_path: Path, written: str, value: float | None
-) -> None:
+    tmp_path, written, value
+):
     if value is not None:
         assert of(tmp_path, f"pretension: {written}").pretension == value
     else:
@@ -247,7 +243,7 @@ def test_numbers_are_read_as_one_expects_and_yaml_1_1_s_surprises_are_text(
         assert "is not a number" in refusal(tmp_path, f"pretension: {written}")
 
 
-def test_overrides_are_laid_over_the_file_in_order(tmp_path: Path) -> None:
+def test_overrides_are_laid_over_the_file_in_order(tmp_path):
     built = of(
         tmp_path,
         "tendons: 3\nsections: [{length: 1}, {length: 2}]",
@@ -267,14 +263,9 @@ def test_overrides_are_laid_over_the_file_in_order(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "sections",
-    [
-        "[&a {length: 1}, *a, *a]",
-        "&all [{length: 1}, {length: 1}, {length: 1}]\nspans: []",
-    ],
+    ["[&a {length: 1}, *a, *a]", "&all [{length: 1}, {length: 1}, {length: 1}]\nspans: []"],
 )
-def test_an_override_changes_only_what_it_names_where_the_file_has_aliases(
-    tmp_path: Path, sections: str
-) -> None:
+def test_an_override_changes_only_what_it_names_where_the_file_has_aliases(tmp_path, sections):
     built = of(tmp_path, f"sections: {sections}", "slave.sections.1.length=9")
     assert [s.length for s in built.sections] == [1.0, 9.0, 1.0]
     line = refusal(tmp_path, f"sections: {sections}", "slave.sections.1.length=x")
@@ -298,27 +289,27 @@ def test_an_override_changes_only_what_it_names_where_the_file_has_aliases(
         ("slave=3", "3 is not a mapping"),
     ],
 )
-def test_a_wrong_override_is_named_as_such(tmp_path: Path, override: str, says: str) -> None:
+def test_a_wrong_override_is_named_as_such(tmp_path, override, says):
     line = refusal(tmp_path, "sections: [{length: 1}]", override)
     assert line.startswith("--set ")
     assert says in line
 
 
-def test_an_address_of_ipv6_needs_no_quotes() -> None:
+def test_an_address_of_ipv6_needs_no_quotes():
     assert load(None, LinkConfig, "link", ["link.slave=[::1]:7452"]).slave == "[::1]:7452"
 
 
-def test_another_section_s_content_is_left_to_its_owner(tmp_path: Path) -> None:
+def test_another_section_s_content_is_left_to_its_owner(tmp_path):
     path = write(tmp_path, "session: a\nmaster: {whatever: 1}\nslave: {tendons: 3}\n")
     assert load(path, Everything, "slave").tendons == 3
     assert load(path, RunConfig, None).session == "a"
 
 
-def test_the_keys_of_a_session_are_those_of_its_config() -> None:
+def test_the_keys_of_a_session_are_those_of_its_config():
     assert {f.name for f in dataclasses.fields(SessionConfig)} == set(SESSION_KEYS)
 
 
-def test_a_snapshot_is_the_config_as_it_was_when_it_was_read(tmp_path: Path) -> None:
+def test_a_snapshot_is_the_config_as_it_was_when_it_was_read(tmp_path):
     path = write(tmp_path, "slave: {tendons: 3, folder: 'Größe\u2028\U0001f600'}\n")
     document = ConfigDocument.read(path, ["slave.pretension=2e-1", "rate_hz=.inf"])
     document = document.override(
@@ -336,7 +327,7 @@ def test_a_snapshot_is_the_config_as_it_was_when_it_was_read(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[1]", "session: a", '{"path": 1}', "[" * 100_000])
-def test_what_is_no_snapshot_is_one_line(tmp_path: Path, text: str) -> None:
+def test_what_is_no_snapshot_is_one_line(tmp_path, text):
     (tmp_path / "a.snapshot").write_text(text)
     with pytest.raises(UsageError, match=r"is no snapshot of a session's config$"):
         ConfigDocument.read(tmp_path / "a.snapshot")
@@ -355,14 +346,14 @@ def test_what_is_no_snapshot_is_one_line(tmp_path: Path, text: str) -> None:
         ),
     ],
 )
-def test_shared_keys_are_checked(tmp_path: Path, text: str, says: str) -> None:
+def test_shared_keys_are_checked(tmp_path, text, says):
     with pytest.raises(UsageError) as caught:
         load(write(tmp_path, text), RunConfig, None)
     assert says in str(caught.value)
 
 
 @pytest.mark.parametrize("index", ["x", "²", "٣", "00", "9" * 5000])
-def test_what_is_no_index_of_a_list_is_one_line(tmp_path: Path, index: str) -> None:
+def test_what_is_no_index_of_a_list_is_one_line(tmp_path, index):
     for text in ("slave: {sections: [{length: 1}, {length: 2}]}", ""):
         with pytest.raises(UsageError, match="counted from 0"):
             load(write(tmp_path, text), Everything, "slave", [f"slave.sections.{index}.length=1"])
@@ -372,14 +363,14 @@ DOCUMENTED = (Path(__file__).parents[2] / "docs" / "reference" / "configuration.
 
 
 @pytest.mark.parametrize("text", re.findall(r"```yaml\n(.*?)```", DOCUMENTED, re.DOTALL))
-def test_the_examples_in_the_docs_are_accepted(tmp_path: Path, text: str) -> None:
+def test_the_examples_in_the_docs_are_accepted(tmp_path, text):
     (tmp_path / "certificates").mkdir()
     for name in ("ca.pem", "own.pem", "own.key"):
         (tmp_path / "certificates" / name).touch()
     assert isinstance(load(write(tmp_path, text), RunConfig, None), RunConfig)
 
 
-def test_the_mistake_in_the_docs_is_what_the_loader_says(tmp_path: Path) -> None:
+def test_the_mistake_in_the_docs_is_what_the_loader_says(tmp_path):
     path = tmp_path / "demo.yaml"
     path.write_text("link: {slav: x}")
     with pytest.raises(UsageError) as caught:
@@ -387,7 +378,7 @@ def test_the_mistake_in_the_docs_is_what_the_loader_says(tmp_path: Path) -> None
     assert str(caught.value).replace(str(path), "demo.yaml") in DOCUMENTED
 
 
-def test_a_field_of_a_type_the_loader_cannot_check_is_a_defect_of_ours() -> None:
+def test_a_field_of_a_type_the_loader_cannot_check_is_a_defect_of_ours():
     @dataclass(frozen=True)
     class Bad:
         table: Any = None
@@ -421,7 +412,7 @@ EVERYTHING = st.builds(
 
 @given(EVERYTHING)
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25)
-def test_what_as_tree_writes_load_reads_back(tmp_path: Path, built: Everything) -> None:
+def test_what_as_tree_writes_load_reads_back(tmp_path, built):
     path = tmp_path / "config.yaml"
     path.write_text(yaml.safe_dump({"slave": as_tree(built)}))
     assert load(path, Everything, "slave") == built
@@ -429,9 +420,7 @@ def test_what_as_tree_writes_load_reads_back(tmp_path: Path, built: Everything) 
 
 @given(st.text(max_size=60))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=100)
-def test_whatever_is_in_the_file_the_outcome_is_a_config_or_one_line(
-    tmp_path: Path, text: str
-) -> None:
+def test_whatever_is_in_the_file_the_outcome_is_a_config_or_one_line(tmp_path, text):
     path = tmp_path / "config.yaml"
     path.write_bytes(("slave: " + text).encode("utf-8", "surrogatepass"))
     said = ""

@@ -97,8 +97,7 @@ def test_a_force_that_is_no_number_is_not_turned_into_one(bad):
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [{"full": math.nan}, {"none": 0.5}, {"none": math.inf}, {"full": 2.0}],
+    "wrong", [{"full": math.nan}, {"none": 0.5}, {"none": math.inf}, {"full": 2.0}]
 )
 def test_bad_values_are_refused(wrong):
     with pytest.raises(ValueError, match=r"full|none"):

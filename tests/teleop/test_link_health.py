@@ -1,7 +1,5 @@
 """Health of the link: figures against a simulated network, decisions with hysteresis, clocks."""
 
-import random
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -28,14 +26,8 @@ DT = SPAN_NS * 1e-9
 
 
 def exchange(
-    window,
-    offset_ns: int,
-    delays_in: list[int],
-    delays_out: list[int],
-    hold_ns: int = MS // 2,
-    start_ns: int = 10**15,
-    tell_hold: bool = True,
-) -> int:
+    window, offset_ns, delays_in, delays_out, hold_ns=MS // 2, start_ns=10**15, tell_hold=True
+):
     """Let a peer whose clock is `offset_ns` ahead answer every 10 ms; return the end."""
     now_ns = start_ns
     for delay_in, delay_out in zip(delays_in, delays_out, strict=True):
@@ -50,9 +42,7 @@ delays = st.lists(st.integers(1, 20 * MS), min_size=3, max_size=40)
 
 
 @given(delays, st.integers(-(10**17), 10**17), st.booleans(), st.randoms(use_true_random=False))
-def test_the_true_offset_is_always_within_its_uncertainty(
-    delays_in: list[int], offset_ns: int, tell_hold: bool, chance: random.Random
-) -> None:
+def test_the_true_offset_is_always_within_its_uncertainty(delays_in, offset_ns, tell_hold, chance):
     windows = LinkWindow.array()
     delays_out = [chance.randint(1, 20 * MS) for _ in delays_in]
     exchange(windows, offset_ns, delays_in, delays_out, tell_hold=tell_hold)
@@ -66,7 +56,7 @@ def test_the_true_offset_is_always_within_its_uncertainty(
     assert figures.uncertainty_ns <= (min(trips) + held) // 2 + MS
 
 
-def test_a_symmetric_link_gives_the_delay_of_each_direction() -> None:
+def test_a_symmetric_link_gives_the_delay_of_each_direction():
     windows = LinkWindow.array()
     exchange(windows, 7_000 * MS, [3 * MS] * 20, [3 * MS] * 20)
     figures = take_measurement(windows, LinkCounts(), LinkCounts())
@@ -75,7 +65,7 @@ def test_a_symmetric_link_gives_the_delay_of_each_direction() -> None:
 
 
 @pytest.mark.parametrize("jump_ns", [-3_600_000 * MS, -100 * MS, 100 * MS, 3_600_000 * MS])
-def test_a_clock_that_is_set_is_noticed_and_the_new_offset_found(jump_ns: int) -> None:
+def test_a_clock_that_is_set_is_noticed_and_the_new_offset_found(jump_ns):
     windows = LinkWindow.array()
     end_ns = exchange(windows, 0, [3 * MS] * 50, [3 * MS] * 50)
     exchange(windows, jump_ns, [3 * MS] * 50, [3 * MS] * 50, start_ns=end_ns)
@@ -84,7 +74,7 @@ def test_a_clock_that_is_set_is_noticed_and_the_new_offset_found(jump_ns: int) -
     assert figures.offset_ns == pytest.approx(jump_ns, abs=figures.uncertainty_ns + MS)
 
 
-def test_a_clock_that_drifts_as_far_as_allowed_is_not_one_that_was_set() -> None:
+def test_a_clock_that_drifts_as_far_as_allowed_is_not_one_that_was_set():
     windows, start_ns = LinkWindow.array(), 10**15
     for k in range(1000):
         now_ns = start_ns + 10 * MS * k
@@ -94,9 +84,7 @@ def test_a_clock_that_drifts_as_far_as_allowed_is_not_one_that_was_set() -> None
 
 
 @given(st.integers(0, 50), st.integers(0, 50), st.integers(0, 5))
-def test_loss_counts_what_is_missing_but_not_what_was_overtaken(
-    received: int, lost: int, late: int
-) -> None:
+def test_loss_counts_what_is_missing_but_not_what_was_overtaken(received, lost, late):
     before = LinkCounts(received=7, lost=3, out_of_order=1, repeated=2)
     now = LinkCounts(7 + received, 3 + lost + late, repeated=6, out_of_order=1 + late)
     figures = take_measurement(LinkWindow.array(), before, now)
@@ -108,14 +96,14 @@ BOUNDS = HealthConfig(round_trip=0.1, hold_after=1.0, recover_after=0.5, scale_m
 BAD, NEAR, FINE = (LinkMeasurement(round_trip_ns=ms * MS) for ms in (101, 90, 10))
 
 
-def run(decision: Decision, figures: LinkMeasurement, seconds: float) -> list[Decision]:
+def run(decision, figures, seconds):
     out = [decision]
     for _ in range(round(seconds / DT)):
         out.append(step(BOUNDS, out[-1], figures, DT))
     return out[1:]
 
 
-def test_beyond_a_bound_it_is_scaled_down_then_held_and_comes_back_with_hysteresis() -> None:
+def test_beyond_a_bound_it_is_scaled_down_then_held_and_comes_back_with_hysteresis():
     down = run(Decision(), BAD, 1.0)
     scales = [decision.scale for decision in down]
     assert scales == sorted(scales, reverse=True)
@@ -138,16 +126,14 @@ def test_beyond_a_bound_it_is_scaled_down_then_held_and_comes_back_with_hysteres
     assert back[-1] == Decision()
 
 
-def test_what_the_peer_finds_counts_as_what_we_find() -> None:
+def test_what_the_peer_finds_counts_as_what_we_find():
     decision = step(BOUNDS, Decision(), FINE, DT, peer=Reason.LINK_LOSS)
     assert (decision.reason, decision.scale < 1.0) == (Reason.LINK_LOSS, True)
     assert step(BOUNDS, Decision(), FINE, DT, peer=Reason.PEER_FAULT) == Decision()
 
 
 @given(st.integers(100 * MS, 400 * MS), st.floats(0.0, 0.35), st.randoms(use_true_random=False))
-def test_by_default_a_slow_lossy_link_changes_nothing(
-    delay_ns: int, loss: float, chance: random.Random
-) -> None:
+def test_by_default_a_slow_lossy_link_changes_nothing(delay_ns, loss, chance):
     """Both ways 300 ms +- 50 ms, and a third lost, worked before there were bounds."""
     windows = LinkWindow.array()
     jitter = [chance.randint(-50 * MS, 50 * MS) for _ in range(40)]
@@ -157,7 +143,7 @@ def test_by_default_a_slow_lossy_link_changes_nothing(
     assert step(HealthConfig(), Decision(), figures, DT) == Decision()
 
 
-def test_the_message_and_the_summary_have_the_figures() -> None:
+def test_the_message_and_the_summary_have_the_figures():
     health = LinkHealth(BOUNDS)
     assert health.build_message(Role.SLAVE, MessageCounts(), 0).round_trip_ns == -1
     end_ns = exchange(health.windows, 5 * MS, [60 * MS] * 20, [60 * MS] * 20)

@@ -4,7 +4,6 @@ import re
 import struct
 import zlib
 from dataclasses import fields
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from teleop.messages.messages import (
     MESSAGES,
     TEXT_BYTES,
     Command,
-    Message,
     MessageError,
     decode_text,
     encode_text,
@@ -37,10 +35,10 @@ RANGES = {
 
 
 @st.composite
-def messages(draw: st.DrawFn) -> Message:
+def messages(draw):
     """Any message with any values its wire types can hold, NaN and infinities among them."""
     cls = draw(st.sampled_from(MESSAGES))
-    values: dict[str, Any] = {}
+    values = {}
     for name, wire in list(cls.schema.wires.items())[len(HEAD) :]:
         one = RANGES[wire.code]
         if wire.count == 1:
@@ -54,14 +52,14 @@ def messages(draw: st.DrawFn) -> Message:
 HEADS = st.tuples(RANGES["Q"], RANGES["Q"], RANGES["q"])
 
 
-def same(one: Any, two: Any) -> bool:
+def same(one, two):
     """Equality that takes NaN for equal to NaN, and bytes for a sequence of numbers."""
     one, two = (list(x) if isinstance(x, bytes) else x for x in (one, two))
     return bool(np.array_equal(np.asarray(one), np.asarray(two), equal_nan=True))
 
 
 @given(messages(), HEADS)
-def test_what_is_packed_is_unpacked(message: Message, head: tuple[int, int, int]) -> None:
+def test_what_is_packed_is_unpacked(message, head):
     data = message.pack(*head)
     assert len(data) == message.schema.size
     back = type(message).unpack(data)
@@ -75,9 +73,7 @@ def test_what_is_packed_is_unpacked(message: Message, head: tuple[int, int, int]
 
 
 @given(messages(), HEADS)
-def test_numpy_and_an_independent_ros2_reader_see_the_same_values(
-    message: Message, head: tuple[int, int, int]
-) -> None:
+def test_numpy_and_an_independent_ros2_reader_see_the_same_values(message, head):
     schema, data = message.schema, message.pack(*head)
     kind = f"teleop/msg/{schema.name}"
     decoded = generate_dynamic(kind, schema.ros_definition)[kind](data)
@@ -89,14 +85,12 @@ def test_numpy_and_an_independent_ros2_reader_see_the_same_values(
 
 
 @given(messages(), HEADS)
-def test_a_packet_is_sealed_to_the_bytes_of_its_message_and_read_from_them(
-    message: Message, head: tuple[int, int, int]
-) -> None:
+def test_a_packet_is_sealed_to_the_bytes_of_its_message_and_read_from_them(message, head):
     head = head[0], head[1] >> 2, head[2]  # our numbers are counted from 0
-    packet: Packet[Any] = Packet(type(message))
+    packet = Packet(type(message))
     packet.fill(message)
     assert packet.seal(*head) == message.pack(*head)
-    received: Packet[Any] = Packet(type(message))
+    received = Packet(type(message))
     received.data[:] = message.pack(*head)
     for item in fields(message)[len(HEAD) :]:
         assert same(getattr(received.record, item.name), getattr(message, item.name))
@@ -107,7 +101,7 @@ def test_a_packet_is_sealed_to_the_bytes_of_its_message_and_read_from_them(
 
 
 @pytest.mark.parametrize("cls", MESSAGES)
-def test_every_single_changed_byte_is_noticed(cls: type[Message]) -> None:
+def test_every_single_changed_byte_is_noticed(cls):
     whole = cls().pack(1, 2, 3)
     for position in range(len(whole)):
         packed = bytearray(whole)
@@ -117,16 +111,14 @@ def test_every_single_changed_byte_is_noticed(cls: type[Message]) -> None:
 
 
 @given(st.sampled_from(MESSAGES), st.binary(max_size=800))
-def test_any_bytes_at_all_are_a_message_error(cls: type[Message], data: bytes) -> None:
+def test_any_bytes_at_all_are_a_message_error(cls, data):
     with pytest.raises(MessageError):
         cls.unpack(data)
     with pytest.raises(MessageError):
         cls.unpack(data[: cls.schema.size].ljust(cls.schema.size, b"\0"))
 
 
-def test_the_messages_of_another_version_are_told_from_damaged_ones(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_messages_of_another_version_are_told_from_damaged_ones(monkeypatch):
     cls = MESSAGES[0]
     monkeypatch.setattr("teleop.messages.messages.LAYOUT", 0xABCDEF01)
     theirs = cls().pack(1, 2, 3)
@@ -144,7 +136,7 @@ def test_the_messages_of_another_version_are_told_from_damaged_ones(
     assert caught.value.kind == "corruption"
 
 
-def test_text_is_cut_between_characters() -> None:
+def test_text_is_cut_between_characters():
     for text in ("", "engaged", "Zugspannung 5 µN", "é" * 200, "a" + "é" * 200, "x" * 1000):
         raw = encode_text(text)
         assert len(raw) == TEXT_BYTES
@@ -152,7 +144,7 @@ def test_text_is_cut_between_characters() -> None:
         assert len(decode_text(raw).encode()) >= min(len(text.encode()), TEXT_BYTES - 1)
 
 
-def test_padding_fills_up_and_too_many_values_do_not_pass() -> None:
+def test_padding_fills_up_and_too_many_values_do_not_pass():
     assert pad_values([1.0, 2.0], 4) == (1.0, 2.0, 0.0, 0.0)
     with pytest.raises(ValueError, match="9 values do not fit into a field of 8"):
         pad_values([0.0] * 9, 8)
@@ -160,9 +152,9 @@ def test_padding_fills_up_and_too_many_values_do_not_pass() -> None:
         Command(position=(0.0,) * 9).pack(1, 2, 3)
 
 
-def test_the_checksum_of_the_docs_is_that_of_every_message() -> None:
+def test_the_checksum_of_the_docs_is_that_of_every_message():
     (code,) = re.findall(r"```python\n(.*?)```", format_page(), re.DOTALL)
-    scope: dict[str, Any] = {"zlib": zlib}
+    scope = {"zlib": zlib}
     exec(code, scope)  # noqa: S102 - our own page
     for cls in MESSAGES:
         data = cls().pack(1, 2, 3)

@@ -4,7 +4,6 @@ import signal
 import subprocess
 import sys
 import time
-from typing import Any
 from unittest.mock import patch
 
 import pytest
@@ -18,7 +17,7 @@ from teleop.launch.supervisor import Supervisor, wait_for_exit
 from teleop.link import Link, ReceivedMessage, listener
 from teleop.link.listener import Listener
 from teleop.messages.messages import LoopReport, TendonState
-from teleop.messages.topics import REPORT, STATE, TENDONS, TOPICS, Role, Topic
+from teleop.messages.topics import REPORT, STATE, TENDONS, TOPICS, Role
 from teleop.recording import recorder as recorders
 from teleop.recording.command import format_status
 from teleop.recording.reader import open_recording, read_columns
@@ -35,7 +34,7 @@ SENDER = 7
 class Bench:
     """A side that publishes states, a recorder with a slow writer, and a clock that both use."""
 
-    def __init__(self, folder: Any, write_ns: int) -> None:
+    def __init__(self, folder, write_ns):
         self.now_ns, self.sent, self.reports, self.present = START_NS, 0, 0, True
         self.lag_ns = 0  # the longest
         with patch("teleop.link.listener.now_ns", self.clock):
@@ -45,23 +44,23 @@ class Bench:
         self.writer = RecordingWriter(config, "bench", START_NS)
         write = self.writer.write
 
-        def slowly(messages: Any, now_ns: int) -> None:
+        def slowly(messages, now_ns):
             write(messages, now_ns)
             self.now_ns += write_ns * len(messages)
 
-        self.writer.write = slowly  # type: ignore[method-assign]
+        self.writer.write = slowly
         self.recorder = Recorder(self.listener, self.writer, lambda *_: self.present)
 
-    def clock(self) -> int:
+    def clock(self):
         return self.now_ns
 
-    def publish(self, arrives: bool) -> None:
+    def publish(self, arrives):
         """Send a state; it arrives or is lost on the way."""
         self.sent += 1
         if arrives:
             self._store(STATE, STATE.message().pack(SENDER, self.sent, self.now_ns))
 
-    def report(self, ended: int) -> None:
+    def report(self, ended):
         """Say how much was sent."""
         self.reports += 1
         sent = [0] * 16
@@ -69,12 +68,12 @@ class Bench:
         report = LoopReport(role=Role.SLAVE, ended=ended, sent=tuple(sent))
         self._store(REPORT, report.pack(SENDER, self.reports, self.now_ns))
 
-    def step(self) -> None:
+    def step(self):
         """Let the recorder take one batch."""
         self.recorder.step(self.clock)
         self.lag_ns = max(self.lag_ns, self.recorder.lag_ns)
 
-    def end(self) -> int:
+    def end(self):
         """Tell the recorder to end; return how many messages it says are missing."""
         stop_ns = self.now_ns
         while not self.recorder.is_done(stop_ns, self.now_ns):
@@ -84,9 +83,9 @@ class Bench:
         self.writer.close()
         return missing
 
-    def _store(self, topic: Topic[Any], data: bytes) -> None:
+    def _store(self, topic, data):
         with patch("teleop.link.listener.now_ns", self.clock):
-            self._stores[topic](Sample(data))  # type: ignore[arg-type]
+            self._stores[topic](Sample(data))
 
 
 @patch.object(listener, "CAPACITY_MIN", 8)
@@ -97,8 +96,8 @@ class Bench:
     st.lists(st.booleans(), min_size=1, max_size=120), st.integers(0, 3 * MS), st.integers(1, 30)
 )
 def test_whatever_is_lost_or_too_slow_written_and_missing_are_all_that_was_sent(
-    tmp_path_factory: Any, arrivals: list[bool], write_ns: int, every: int
-) -> None:
+    tmp_path_factory, arrivals, write_ns, every
+):
     """The first is not lost: with it the recording begins."""
     bench = Bench(tmp_path_factory.mktemp("slow"), write_ns)
     for k, arrives in enumerate([True, *arrivals]):
@@ -117,7 +116,7 @@ def test_whatever_is_lost_or_too_slow_written_and_missing_are_all_that_was_sent(
 
 
 @patch.object(recorders, "BATCH", 5)
-def test_a_backlog_is_shown_and_written_to_its_end_however_long_that_takes(tmp_path: Any) -> None:
+def test_a_backlog_is_shown_and_written_to_its_end_however_long_that_takes(tmp_path):
     bench = Bench(tmp_path, write_ns=50 * MS)  # twenty messages a second
     for _ in range(200):
         bench.publish(arrives=True)
@@ -132,7 +131,7 @@ def test_a_backlog_is_shown_and_written_to_its_end_however_long_that_takes(tmp_p
     assert "3 missing" in format_status(bench.lag_ns, 3)
 
 
-def test_a_side_that_leaves_without_a_word_is_waited_for_and_named(tmp_path: Any) -> None:
+def test_a_side_that_leaves_without_a_word_is_waited_for_and_named(tmp_path):
     bench = Bench(tmp_path, 0)
     bench.publish(arrives=True)
     bench.report(ended=0)
@@ -146,7 +145,7 @@ def test_a_side_that_leaves_without_a_word_is_waited_for_and_named(tmp_path: Any
     assert "the end of the slave may be missing" in info.doubts[0]
 
 
-def test_a_session_that_goes_on_does_not_keep_the_recorder(tmp_path: Any) -> None:
+def test_a_session_that_goes_on_does_not_keep_the_recorder(tmp_path):
     bench = Bench(tmp_path, 0)
     bench.publish(arrives=True)
     bench.report(ended=0)
@@ -161,7 +160,7 @@ def test_a_session_that_goes_on_does_not_keep_the_recorder(tmp_path: Any) -> Non
     assert open_recording(bench.writer.path).unfinished == ()
 
 
-def test_missing_messages_are_told_and_end_the_command_with_exit_code_1(tmp_path: Any) -> None:
+def test_missing_messages_are_told_and_end_the_command_with_exit_code_1(tmp_path):
     config = free_config()
     process = start("teleop.recording.command", config, f"--out={tmp_path}", "--set=session=bench")
     assert process.stdout.readline().startswith("recording session")
@@ -194,9 +193,9 @@ TELL_AND_END = (
 
 
 def test_the_launcher_waits_for_a_recorder_that_makes_progress_and_ends_with_its_exit_code(
-    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    said: list[str] = []
+    tmp_path, monkeypatch
+):
+    said = []
     family = Supervisor(tmp_path, lambda _name, line: said.append(line))
     spawn = subprocess.Popen
     monkeypatch.setattr("teleop.launch.supervisor._DRAINING_TIMEOUT_S", 0.4)
@@ -216,7 +215,7 @@ def test_the_launcher_waits_for_a_recorder_that_makes_progress_and_ends_with_its
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[int]]:
+def whole(tmp_path_factory):
     """A recording of three chunks, and its length after each of them."""
     lengths = []
     config = RecordConfig(
@@ -244,13 +243,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[int]]:
         (["diagnose", "{}", "--out", "{}.diagnosis"], "truncated"),
     ],
 )
-def test_every_command_says_what_is_wrong_with_a_recording(
-    tmp_path: Any,
-    whole: tuple[bytes, list[int]],
-    words: list[str],
-    how: str,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_every_command_says_what_is_wrong_with_a_recording(tmp_path, whole, words, how, capsys):
     """Whatever they make of so few samples: in one line, what, and what could be read."""
     path = tmp_path / "a.mcap"
     content, lengths = bytearray(whole[0]), whole[1]
@@ -267,9 +260,7 @@ def test_every_command_says_what_is_wrong_with_a_recording(
     assert "could be read" in said[0]
 
 
-def test_of_a_recording_without_one_whole_chunk_nothing_is_read(
-    tmp_path: Any, whole: tuple[bytes, list[int]]
-) -> None:
+def test_of_a_recording_without_one_whole_chunk_nothing_is_read(tmp_path, whole):
     content = bytearray(whole[0])
     content[whole[1][0] - 600] ^= 1
     (tmp_path / "a.mcap").write_bytes(content)

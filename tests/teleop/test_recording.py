@@ -6,7 +6,6 @@ import subprocess
 import sys
 import textwrap
 import tracemalloc
-from pathlib import Path
 
 import lz4.frame
 import numpy as np
@@ -25,7 +24,6 @@ from slave.config import SlaveConfig
 from teleop.cli import commands
 from teleop.config.loading import ConfigDocument
 from teleop.errors import TeleopError, UsageError
-from teleop.link import ReceivedMessage
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import COMMAND, EVENT, STATE, TENDONS, TOPICS
 from teleop.recording import reader
@@ -44,11 +42,9 @@ from tests.root import ROOT
 from tests.teleop.recorded import START_NS, heard
 
 
-def chunk_by_chunk(
-    directory: Path, chunks: list[list[ReceivedMessage]], compression: str = "zstd"
-) -> tuple[Path, list[int]]:
+def chunk_by_chunk(directory, chunks, compression="zstd"):
     """Record `chunks`; returns the file and its length after each of them."""
-    config = RecordConfig(directory=str(directory), chunk_s=0.01, compression=compression)  # type: ignore[arg-type]
+    config = RecordConfig(directory=str(directory), chunk_s=0.01, compression=compression)
     writer = RecordingWriter(config, "demo", START_NS, "session: demo\n", ["rate_hz=500", "a=b"])
     lengths = []
     for k, chunk in enumerate(chunks):
@@ -387,7 +383,7 @@ def test_a_full_disk_ends_the_recording_and_keeps_what_is_there(tmp_path):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     kept = 0
 
-    def record() -> None:
+    def record():
         nonlocal kept
         with writer:
             for k in range(100):
@@ -464,7 +460,7 @@ def test_a_recorder_killed_while_it_writes_the_index_loses_no_message(tmp_path, 
 
 
 @pytest.mark.parametrize("insecure", [False, True])
-def test_a_recording_says_how_its_session_was_protected(tmp_path, insecure) -> None:
+def test_a_recording_says_how_its_session_was_protected(tmp_path, insecure):
     config = RecordConfig(directory=str(tmp_path))
     with RecordingWriter(config, "demo", START_NS, insecure=insecure) as writer:
         path = writer.path
@@ -481,7 +477,7 @@ def recorded(folder, config_text="", overrides=()):
         return writer.path
 
 
-def test_an_arm_of_a_recording_needs_no_file_beside_it(tmp_path, capsys) -> None:
+def test_an_arm_of_a_recording_needs_no_file_beside_it(tmp_path, capsys):
     """Neither the config nor the URDF that it names, relative to its folder."""
     for name in ("notes-arm.yaml", "notes-arm.urdf"):
         (tmp_path / name).write_bytes((ROOT / "configs" / name).read_bytes())
@@ -503,7 +499,7 @@ def test_an_arm_of_a_recording_needs_no_file_beside_it(tmp_path, capsys) -> None
     assert "Traceback" not in capsys.readouterr().err
 
 
-def of_another_writer(folder, config: bytes = b"", overrides: str = "") -> Path:
+def of_another_writer(folder, config=b"", overrides=""):
     """Return a recording whose head another program wrote."""
     path = folder / "other.mcap"
     with path.open("wb") as file:
@@ -519,21 +515,21 @@ def of_another_writer(folder, config: bytes = b"", overrides: str = "") -> Path:
     ("written", "overrides"),
     [("", ()), ("a=1", ("a=1",)), ("a=1\nb=[2]", ("a=1", "b=[2]")), ("[]", ()), ('["a"]', ("a",))],
 )
-def test_overrides_of_older_recordings_are_lines(tmp_path, written, overrides) -> None:
+def test_overrides_of_older_recordings_are_lines(tmp_path, written, overrides):
     assert (
         read_recorded_config(of_another_writer(tmp_path, overrides=written)).overrides == overrides
     )
 
 
 @pytest.mark.parametrize("written", ["[", "[1]", '["a", null]', "[" * 50_000])
-def test_overrides_that_are_no_list_of_texts_are_refused(tmp_path, written) -> None:
+def test_overrides_that_are_no_list_of_texts_are_refused(tmp_path, written):
     with pytest.raises(RecordingError, match="its overrides are not a JSON list of texts"):
         read_recorded_config(of_another_writer(tmp_path, overrides=written))
 
 
 @pytest.mark.parametrize("read", [read_recorded_config, ConfigDocument.read, open_recording])
 @pytest.mark.parametrize("part", ["config", "overrides"])
-def test_a_config_in_a_recording_is_bounded_as_in_a_file(tmp_path, part, read) -> None:
+def test_a_config_in_a_recording_is_bounded_as_in_a_file(tmp_path, part, read):
     line = "rate_hz=500\n" if part == "overrides" else "# a comment\n"
     text = line * (3_000_000 // len(line))
     if part == "overrides":
@@ -544,7 +540,7 @@ def test_a_config_in_a_recording_is_bounded_as_in_a_file(tmp_path, part, read) -
         read(path)
 
 
-def test_overrides_that_no_reader_would_read_are_not_recorded(tmp_path) -> None:
+def test_overrides_that_no_reader_would_read_are_not_recorded(tmp_path):
     with pytest.raises(UsageError, match=r"^--set: the overrides have \d+ bytes"):
         recorded(tmp_path, overrides=["a=" + "x" * 100_000])
     assert not list(tmp_path.iterdir())

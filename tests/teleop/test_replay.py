@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from teleop.cli import commands
 from teleop.errors import PeerError
-from teleop.link import Link, ReceivedMessage
+from teleop.link import Link
 from teleop.messages.messages import Event
 from teleop.messages.topics import COMMAND, EVENT, STATE, TOPICS, Role
 from teleop.recording import replay
@@ -28,11 +28,11 @@ HEAD = ("checksum", "sender", "sequence", "stamp_ns")
 PATIENCE_S = 60.0
 
 
-def recorded(item: ReceivedMessage) -> RecordedMessage:
+def recorded(item):
     return RecordedMessage(item.topic.name, item.data, item.received_ns, item.stamp_ns)
 
 
-def meet(*links: Link) -> None:
+def meet(*links):
     """Wait until all see the sides; subscriptions may follow presence by a moment."""
     wait_until(lambda: all(a.is_present(b.role) for a in links for b in links[:2] if a is not b))
     time.sleep(0.2)
@@ -117,9 +117,9 @@ def test_listeners_hear_the_session_again_never_early(recording):
         began_ns = now_ns()
         player = Player(open_recording(path), speed, {Role.SLAVE: slave, Role.MASTER: master})
         assert player.play(0, lambda: False, lambda _: None)
-        arrived: list[ReceivedMessage] = []
+        arrived = []
 
-        def all_there() -> bool:
+        def all_there():
             arrived.extend(listener.drain())
             return len(arrived) >= len(messages)
 
@@ -216,13 +216,13 @@ class Wire:
 
     nonce = 1
 
-    def __init__(self) -> None:
-        self.sent: list[tuple[str, int, int]] = []  # topic, stamp, time
+    def __init__(self):
+        self.sent = []  # topic, stamp, time
 
-    def publish_raw(self, topic, data) -> None:
+    def publish_raw(self, topic, data):
         self.sent.append((topic.name, topic.message.schema.check(data).stamp_ns, now_ns()))
 
-    def check_peers(self) -> None:
+    def check_peers(self):
         """Alone."""
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from estimator.compiled import jit_compile
-from estimator.records import StructArray
 from teleop.session.state_machine import (
     FOLLOW_LIMIT_S,
     HOLD_LIMIT_S,
@@ -66,20 +65,20 @@ class Now(NamedTuple):
     fades: bool = False
 
     @property
-    def outline(self) -> SessionOutline:
+    def outline(self):
         return SessionOutline(self.state, self.reason)
 
 
 FIELDS = Session.dtype.names or ()
 
 
-def sessions_of(now: Now, count: int = 1) -> StructArray:
+def sessions_of(now, count=1):
     sessions = Session.array(count)
     sessions[:] = tuple(getattr(now, name) for name in FIELDS)
     return sessions
 
 
-def inputs_of(known: list[Known]) -> StructArray:
+def inputs_of(known):
     inputs = Inputs.array(len(known))
     for name in Known._fields:
         inputs[name] = [getattr(item, name) for item in known]
@@ -87,7 +86,7 @@ def inputs_of(known: list[Known]) -> StructArray:
 
 
 @jit_compile
-def step_each(sessions: StructArray, inputs: StructArray, dt: float, allowed: np.ndarray) -> None:
+def step_each(sessions, inputs, dt, allowed):
     for k in range(len(sessions)):
         step(sessions[k], inputs[k], dt)
         allowed[k, 0] = may_move(sessions[k])
@@ -96,7 +95,7 @@ def step_each(sessions: StructArray, inputs: StructArray, dt: float, allowed: np
         allowed[k, 3] = is_force_fading(sessions[k])
 
 
-def after_each(before: Now, inputs: StructArray, dt: float) -> list[Now]:
+def after_each(before, inputs, dt):
     """What a session becomes with each of many inputs."""
     sessions = sessions_of(before, len(inputs))
     allowed = np.zeros((len(inputs), 4), bool)
@@ -107,7 +106,7 @@ def after_each(before: Now, inputs: StructArray, dt: float) -> list[Now]:
     ]
 
 
-def advance(before: Now, known: Known, dt: float = DT) -> Now:
+def advance(before, known, dt=DT):
     return after_each(before, inputs_of([known]), dt)[0]
 
 
@@ -128,7 +127,7 @@ PRESS = Known(usable=True, peer_fresh=True, peer_state=State.READY, engage=True)
 COUPLED = Known(usable=True, peer_fresh=True, peer_state=State.ENGAGED, engage=True)
 
 
-def whole(session: Now) -> tuple[object, ...]:
+def whole(session):
     """All fields, also those that the outline leaves out; the wait by whether it has run out.
 
     But for the count of stops, on which nothing depends.
@@ -140,13 +139,13 @@ def whole(session: Now) -> tuple[object, ...]:
     return tuple(values.values())
 
 
-def run(session: Now, *inputs: Known) -> Now:
+def run(session, *inputs):
     for item in inputs:
         session = advance(session, item)
     return session
 
 
-def explore(dt: float = FOLLOW_LIMIT_S * 0.6) -> list[tuple[Now, Known, Now]]:
+def explore(dt=FOLLOW_LIMIT_S * 0.6):
     """Every transition that any sequence of inputs can cause."""
     every = inputs_of(EVERY_INPUT)
     todo, seen, transitions = deque([Now()]), {whole(Now())}, []
@@ -161,16 +160,16 @@ def explore(dt: float = FOLLOW_LIMIT_S * 0.6) -> list[tuple[Now, Known, Now]]:
 
 
 @cache
-def short_ticks() -> list[tuple[Now, Known, Now]]:
+def short_ticks():
     return explore()
 
 
 @cache
-def transitions() -> list[tuple[Now, Known, Now]]:
+def transitions():
     return short_ticks() + explore(HOLD_LIMIT_S * 0.6)
 
 
-def test_all_states_and_the_peer_reasons_are_reachable() -> None:
+def test_all_states_and_the_peer_reasons_are_reachable():
     reached = {(after.state, after.reason) for _, _, after in transitions()}
     assert {state for state, _ in reached} == set(State)
     faults = {reason for state, reason in reached if state == State.FAULT}
@@ -188,7 +187,7 @@ def test_all_states_and_the_peer_reasons_are_reachable() -> None:
     assert stops == {STOP, Reason.PEER_STOPPED}
 
 
-def test_engaged_only_with_usable_fresh_willing_and_asked_for() -> None:
+def test_engaged_only_with_usable_fresh_willing_and_asked_for():
     for before, inputs, after in transitions():
         if after.state == State.ENGAGED:
             assert inputs.usable
@@ -203,7 +202,7 @@ def test_engaged_only_with_usable_fresh_willing_and_asked_for() -> None:
                 assert inputs.not_ready_reason == Reason.NONE
 
 
-def test_engaged_is_entered_from_ready_or_by_the_clutch_only() -> None:
+def test_engaged_is_entered_from_ready_or_by_the_clutch_only():
     for before, inputs, after in transitions():
         if after.state == State.ENGAGED and before.state != State.ENGAGED:
             assert before.state in (State.READY, State.CLUTCHED)
@@ -211,7 +210,7 @@ def test_engaged_is_entered_from_ready_or_by_the_clutch_only() -> None:
                 assert inputs.peer_state in (State.READY, State.ENGAGED)
 
 
-def test_clutched_comes_from_engaged_and_ends_with_the_clutch_or_the_session() -> None:
+def test_clutched_comes_from_engaged_and_ends_with_the_clutch_or_the_session():
     for before, inputs, after in transitions():
         if after.state == State.CLUTCHED:
             assert before.state in COUPLES
@@ -221,14 +220,14 @@ def test_clutched_comes_from_engaged_and_ends_with_the_clutch_or_the_session() -
             assert not inputs.clutch
 
 
-def test_an_own_fault_leads_to_fault_unless_stopped() -> None:
+def test_an_own_fault_leads_to_fault_unless_stopped():
     for before, inputs, after in transitions():
         if inputs.fault != Reason.NONE:
             latched = before.state == State.STOPPED and not inputs.reset
             assert after.state == (State.STOPPED if latched else State.FAULT)
 
 
-def test_a_stop_always_stops_and_only_a_reset_without_a_stop_ends_it() -> None:
+def test_a_stop_always_stops_and_only_a_reset_without_a_stop_ends_it():
     for before, inputs, after in transitions():
         if inputs.stop != Reason.NONE:
             assert after.state == State.STOPPED
@@ -242,7 +241,7 @@ def test_a_stop_always_stops_and_only_a_reset_without_a_stop_ends_it() -> None:
                 assert not after.open_seen  # the switch must be found open, then pressed
 
 
-def test_a_stop_of_the_peer_stops_whoever_is_coupled_to_it() -> None:
+def test_a_stop_of_the_peer_stops_whoever_is_coupled_to_it():
     for before, inputs, after in transitions():
         calm = inputs.fault == inputs.stop == Reason.NONE and inputs.usable and inputs.peer_fresh
         coupled = before.state in (*COUPLES, State.HOLDING)
@@ -250,7 +249,7 @@ def test_a_stop_of_the_peer_stops_whoever_is_coupled_to_it() -> None:
             assert after.outline == (State.STOPPED, Reason.PEER_STOPPED)
 
 
-def test_a_restarted_peer_is_a_fault_for_whoever_was_coupled_or_held_for_it() -> None:
+def test_a_restarted_peer_is_a_fault_for_whoever_was_coupled_or_held_for_it():
     seen = set()
     for before, inputs, after in transitions():
         calm = inputs.fault == inputs.stop == Reason.NONE and inputs.usable and inputs.peer_fresh
@@ -261,7 +260,7 @@ def test_a_restarted_peer_is_a_fault_for_whoever_was_coupled_or_held_for_it() ->
     assert seen == {*COUPLES, State.HOLDING}
 
 
-def test_silence_while_coupled_is_held_and_ends_in_ready_fault_or_stop() -> None:
+def test_silence_while_coupled_is_held_and_ends_in_ready_fault_or_stop():
     for before, inputs, after in transitions():
         calm = inputs.fault == inputs.stop == Reason.NONE and inputs.usable
         if before.state in COUPLES and calm and not inputs.peer_fresh:
@@ -274,7 +273,7 @@ def test_silence_while_coupled_is_held_and_ends_in_ready_fault_or_stop() -> None
                 assert not after.open_seen
 
 
-def test_fault_is_left_only_with_the_switch_open_and_the_fault_gone() -> None:
+def test_fault_is_left_only_with_the_switch_open_and_the_fault_gone():
     for before, inputs, after in transitions():
         if before.state == State.FAULT and after.state not in (State.FAULT, State.STOPPED):
             assert after.state == State.READY
@@ -285,7 +284,7 @@ def test_fault_is_left_only_with_the_switch_open_and_the_fault_gone() -> None:
                 assert inputs.peer_fresh
 
 
-def test_a_degraded_session_goes_the_same_ways_and_says_so_while_it_is_engaged() -> None:
+def test_a_degraded_session_goes_the_same_ways_and_says_so_while_it_is_engaged():
     plain = inputs_of(EVERY_INPUT)
     degraded, slow = plain.copy(), plain.copy()
     degraded["degraded"] = slow["degraded"] = Reason.CALIBRATION_DUE
@@ -311,19 +310,19 @@ def test_a_degraded_session_goes_the_same_ways_and_says_so_while_it_is_engaged()
     assert engaged_count > 0
 
 
-def test_a_rig_that_has_played_its_data_ends_without_fault() -> None:
+def test_a_rig_that_has_played_its_data_ends_without_fault():
     for before in {before for before, _, _ in transitions()}:
         ended = advance(before, Known(True, True, State.ENGAGED, True, Reason.RIG_FINISHED), 1e-3)
         assert ended.outline == (State.OFF, Reason.RIG_FINISHED)
 
 
-def test_a_fault_keeps_its_first_reason() -> None:
+def test_a_fault_keeps_its_first_reason():
     for before, _, after in transitions():
         if before.state == after.state == State.FAULT:
             assert after.reason == before.reason
 
 
-def test_leaving_engaged_for_ready_takes_the_switch_or_an_end() -> None:
+def test_leaving_engaged_for_ready_takes_the_switch_or_an_end():
     for before, inputs, after in transitions():
         if before.state in COUPLES and after.state == State.READY:
             assert not inputs.engage or inputs.peer_state == State.OFF
@@ -332,7 +331,7 @@ def test_leaving_engaged_for_ready_takes_the_switch_or_an_end() -> None:
             assert inputs.fault == inputs.stop == Reason.NONE
 
 
-def test_may_move_and_may_render_are_granted_only_while_engaged() -> None:
+def test_may_move_and_may_render_are_granted_only_while_engaged():
     for _, _, after in transitions():
         if after.state != State.ENGAGED:
             assert not after.may_move
@@ -345,13 +344,13 @@ def test_may_move_and_may_render_are_granted_only_while_engaged() -> None:
             assert not after.fades
 
 
-def test_forces_wait_for_the_slave_to_engage() -> None:
+def test_forces_wait_for_the_slave_to_engage():
     for before, inputs, after in transitions():
         if after.may_render and not before.may_render:
             assert inputs.peer_state == State.ENGAGED
 
 
-def test_the_ordinary_way_in_and_out() -> None:
+def test_the_ordinary_way_in_and_out():
     session = Now()
     for inputs, state in (
         (CALM, State.READY),
@@ -367,7 +366,7 @@ def test_the_ordinary_way_in_and_out() -> None:
     assert session.outline == (State.READY, Reason.RELEASED)
 
 
-def test_a_switch_held_from_the_start_does_not_engage() -> None:
+def test_a_switch_held_from_the_start_does_not_engage():
     session = run(Now(), *[PRESS] * 1000)
     assert session.outline == (State.READY, Reason.RELEASE_FIRST)
     assert run(session, CALM, PRESS).state == State.ENGAGED
@@ -382,7 +381,7 @@ def test_a_switch_held_from_the_start_does_not_engage() -> None:
         Known(True, True, State.ENGAGED, True, Reason.NOT_FINITE),
     ],
 )
-def test_no_engagement_by_itself_after_a_mishap(mishap: Known) -> None:
+def test_no_engagement_by_itself_after_a_mishap(mishap):
     engaged = run(Now(), CALM, CALM, PRESS, COUPLED)
     faulty = advance(engaged, mishap)
     assert faulty.state == (State.FAULT if mishap.peer_fresh else State.HOLDING)
@@ -392,13 +391,13 @@ def test_no_engagement_by_itself_after_a_mishap(mishap: Known) -> None:
     assert run(held, CALM, CALM, PRESS).state == State.ENGAGED
 
 
-def test_a_slave_restarted_while_the_master_is_engaged_stays_out() -> None:
+def test_a_slave_restarted_while_the_master_is_engaged_stays_out():
     nothing_heard = Known(usable=True, peer_fresh=False, peer_state=State.OFF, engage=False)
     for before in ([], [nothing_heard] * 5):
         assert run(Now(), *before, *[COUPLED] * 1000).state == State.READY
 
 
-def test_a_peer_that_does_not_follow_in_time_is_a_fault() -> None:
+def test_a_peer_that_does_not_follow_in_time_is_a_fault():
     session = run(Now(), CALM, CALM, PRESS)
     ticks = 0
     while session.state == State.ENGAGED:
@@ -409,22 +408,12 @@ def test_a_peer_that_does_not_follow_in_time_is_a_fault() -> None:
     assert ticks * DT == pytest.approx(FOLLOW_LIMIT_S, abs=2 * DT)
 
 
-def test_a_peer_that_disengages_by_itself_is_a_fault() -> None:
+def test_a_peer_that_disengages_by_itself_is_a_fault():
     engaged = run(Now(), CALM, CALM, PRESS, COUPLED)
     assert run(engaged, PRESS).outline == (State.FAULT, Reason.PEER_LEFT)
 
 
-def pair(
-    master: Now,
-    slave: Now,
-    heard: tuple[State, State],
-    engage: bool,
-    linked: bool,
-    ok: bool,
-    clutch: bool = False,
-    stop: bool = False,
-    reset: bool = False,
-) -> tuple[Now, Now, tuple[State, State]]:
+def pair(master, slave, heard, engage, linked, ok, clutch=False, stop=False, reset=False):
     """One tick of both sides; each hears what the other was a tick ago, if they are linked."""
     slave_heard, master_heard = heard
     stopped = STOP if stop else Reason.NONE
@@ -443,7 +432,7 @@ def pair(
 SILENT = Known(usable=True, peer_fresh=False, peer_state=State.ENGAGED, engage=True)
 
 
-def test_silence_that_lasts_becomes_a_fault() -> None:
+def test_silence_that_lasts_becomes_a_fault():
     session = run(Now(), CALM, CALM, PRESS, COUPLED)
     ticks = 0
     while session.state != State.FAULT:
@@ -453,14 +442,14 @@ def test_silence_that_lasts_becomes_a_fault() -> None:
     assert ticks * DT == pytest.approx(HOLD_LIMIT_S, abs=3 * DT)
 
 
-def test_a_short_silence_says_what_to_do_and_does_not_become_a_fault() -> None:
+def test_a_short_silence_says_what_to_do_and_does_not_become_a_fault():
     session = run(Now(), CALM, CALM, PRESS, COUPLED)
     for _ in range(3):
         session = run(session, *[SILENT] * 1500, COUPLED)
         assert session.outline == (State.HOLDING, Reason.RELEASE_FIRST)
 
 
-def test_the_clutch_goes_and_comes_back_while_the_switch_is_held() -> None:
+def test_the_clutch_goes_and_comes_back_while_the_switch_is_held():
     clutched = COUPLED._replace(clutch=True)
     session = run(Now(), CALM, CALM, PRESS, COUPLED, clutched)
     assert session.outline == (State.CLUTCHED, Reason.CLUTCH_HELD)
@@ -474,7 +463,7 @@ def test_the_clutch_goes_and_comes_back_while_the_switch_is_held() -> None:
     assert run(session, PRESS._replace(engage=False)).state == State.READY
 
 
-def test_a_tap_on_the_clutch_over_a_long_line_is_no_fault() -> None:
+def test_a_tap_on_the_clutch_over_a_long_line_is_no_fault():
     """The peer's CLUTCHED comes when the clutch has long been let go of."""
     session = run(Now(), CALM, CALM, PRESS, COUPLED, COUPLED._replace(clutch=True), COUPLED)
     assert session.state == State.ENGAGED
@@ -484,7 +473,7 @@ def test_a_tap_on_the_clutch_over_a_long_line_is_no_fault() -> None:
     assert run(session, COUPLED).may_render
 
 
-def test_after_a_reset_nothing_is_coupled_until_let_go_and_pressed() -> None:
+def test_after_a_reset_nothing_is_coupled_until_let_go_and_pressed():
     stopped = run(Now(), CALM, CALM, PRESS, COUPLED, COUPLED._replace(stop=STOP))
     assert run(stopped, *[CALM] * 1000, *[PRESS] * 1000).outline == (State.STOPPED, STOP)
     assert run(stopped, PRESS._replace(reset=True, stop=STOP)).state == State.STOPPED
@@ -494,14 +483,14 @@ def test_after_a_reset_nothing_is_coupled_until_let_go_and_pressed() -> None:
     assert run(ready, CALM, PRESS).state == State.ENGAGED
 
 
-def test_what_hinders_is_named_and_must_be_gone_to_engage() -> None:
+def test_what_hinders_is_named_and_must_be_gone_to_engage():
     astray = PRESS._replace(not_ready_reason=Reason.ALIGN_FIRST)
     session = run(Now(), CALM, CALM, *[astray] * 100)
     assert session.outline == (State.READY, Reason.ALIGN_FIRST)
     assert run(session, PRESS).state == State.ENGAGED
 
 
-def test_two_sides_never_wait_for_each_other_for_ever() -> None:
+def test_two_sides_never_wait_for_each_other_for_ever():
     """From whatever two linked sides can get into, a released switch leads both to READY.
 
     But for an emergency stop, which first takes a reset.
@@ -529,12 +518,12 @@ def test_two_sides_never_wait_for_each_other_for_ever() -> None:
     assert len(seen) > 100
 
 
-def test_every_reason_has_its_own_number_and_sentence() -> None:
+def test_every_reason_has_its_own_number_and_sentence():
     assert len({r.text for r in Reason}) == len(Reason)
     assert all(r.text and not r.text.endswith(".") for r in Reason)
 
 
-def test_numbers_of_a_later_version_are_read_as_unreliable() -> None:
+def test_numbers_of_a_later_version_are_read_as_unreliable():
     assert State(200) == State.FAULT
     assert Reason(200) == Reason.UNKNOWN
     assert to_outline(Session.new(state=200, reason=200)) == (State.FAULT, Reason.UNKNOWN)
@@ -543,7 +532,7 @@ def test_numbers_of_a_later_version_are_read_as_unreliable() -> None:
         assert is_switch_closed(number) == is_switch_closed(to_known_state(number))
 
 
-def test_a_step_changes_one_record_and_no_other() -> None:
+def test_a_step_changes_one_record_and_no_other():
     sessions = Session.array(3)
     step_one(sessions, inputs_of([CALM]), 1)
     assert sessions["state"].tolist() == [State.OFF, State.READY, State.OFF]
@@ -552,7 +541,7 @@ def test_a_step_changes_one_record_and_no_other() -> None:
 
 
 @jit_compile
-def step_one(sessions: StructArray, inputs: StructArray, index: int) -> None:
+def step_one(sessions, inputs, index):
     step(sessions[index], inputs[0], DT)
 
 

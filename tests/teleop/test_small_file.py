@@ -1,7 +1,6 @@
 """A config, a model, a calibration or a key that has no end is refused in one line, and at once."""
 
 import os
-from pathlib import Path
 
 import pytest
 
@@ -26,22 +25,22 @@ READERS = {
 }
 
 
-def make_endless(path: Path) -> str:
+def make_endless(path):
     path.symlink_to("/dev/zero")
     return "is a pipe or a device; a regular file is needed"
 
 
-def make_pipe(path: Path) -> str:
+def make_pipe(path):
     os.mkfifo(path, 0o600)
     return "is a pipe or a device; a regular file is needed"
 
 
-def make_folder(path: Path) -> str:
+def make_folder(path):
     path.mkdir()
     return "Is a directory"
 
 
-def make_huge(path: Path) -> str:
+def make_huge(path):
     path.touch(0o600)
     os.truncate(path, 1 << 40)  # of holes
     return "kB, the bound of such a file"
@@ -67,7 +66,7 @@ def test_a_file_of_exactly_the_bound_is_read_whole(tmp_path):
         read_small_file(path, 999)
 
 
-def laughs(levels: int) -> str:
+def laughs(levels):
     """Return lists of ten, each of aliases of the one before: 10^levels values in all."""
     lines = ["a0: &a0 [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]"]
     for level in range(1, levels):

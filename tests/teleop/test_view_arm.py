@@ -29,12 +29,7 @@ from teleop.view.layouts import build_blueprint
 from teleop.view.scene import Scene
 from teleop.view.scene_geometry import ARROW, Shape, build_stage
 from teleop.view.sinks import Sink
-from teleop.view.space_arm import (
-    HandAxes,
-    build_space_arm,
-    load_arms,
-    solve_tip_forces,
-)
+from teleop.view.space_arm import HandAxes, build_space_arm, load_arms, solve_tip_forces
 from tests.teleop.view_session import T0, Session, read, save
 
 NOTES = Path(__file__).parents[2] / "configs" / "notes-arm.yaml"

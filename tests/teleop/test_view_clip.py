@@ -52,8 +52,7 @@ def has_colour(frame, colour, tolerance=6):
 
 
 @pytest.mark.parametrize(
-    ("layout", "theme"),
-    [("experiment", "light"), ("presentation", "dark"), ("surgeon", "light")],
+    ("layout", "theme"), [("experiment", "light"), ("presentation", "dark"), ("surgeon", "light")]
 )
 def test_every_layout_shows_the_state_and_the_force_on_its_background(drawn, layout, theme):
     figure = ClipFigure(drawn, layout, theme, SIZE, 0)

@@ -18,9 +18,7 @@ from teleop.view.panel import (
     compute_link_quality,
     format_link_parts,
 )
-from teleop.view.panel_layout import (
-    _GLYPHS,
-)
+from teleop.view.panel_layout import _GLYPHS
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
 from tests.teleop.view_session import T0, Session, read

@@ -10,9 +10,7 @@ from teleop.messages.messages import PROFILE_POINTS, MessageError
 from teleop.messages.topics import TENDONS
 from teleop.view.colours import UNKNOWN, to_rgba
 from teleop.view.columns import build_columns, decode, subsample_rows
-from teleop.view.scene_geometry import (
-    compute_centreline,
-)
+from teleop.view.scene_geometry import compute_centreline
 from teleop.view.scene_sheaths import compute_friction_profile, compute_tension_band
 from tests.teleop.view_session import T0, Session
 

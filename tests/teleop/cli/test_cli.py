@@ -121,11 +121,7 @@ sys.exit(__main__.main())
 
 @pytest.mark.parametrize(
     ("moment", "number"),
-    [
-        ("importing", signal.SIGINT),
-        ("compiling", signal.SIGINT),
-        ("running", signal.SIGTERM),
-    ],
+    [("importing", signal.SIGINT), ("compiling", signal.SIGINT), ("running", signal.SIGTERM)],
 )
 def test_an_interrupted_command_says_so_in_one_line(moment, number):
     ended = run_program(INTERRUPTED, moment, str(int(number)), "doctor")

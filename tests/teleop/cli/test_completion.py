@@ -15,11 +15,7 @@ from tests.root import ROOT
 
 pytest.importorskip("shtab", reason="make test installs it")
 
-START = {
-    "bash": "bash --norc --noprofile -i",
-    "zsh": "zsh -f -i",
-    "fish": "fish --no-config -i",
-}
+START = {"bash": "bash --norc --noprofile -i", "zsh": "zsh -f -i", "fish": "fish --no-config -i"}
 LOAD = {  # as a user would, and a prompt that ends what is read
     "bash": "source {script}; PS1='rea''dy> '",
     "zsh": "autoload -Uz compinit; fpath+={script.parent}; compinit -u -D; PS1='rea''dy> '",

@@ -166,11 +166,7 @@ def pair(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    ("words", "tendon", "bend"),
-    [
-        ([], "1a", 0.225),
-        (["--tendon", "1b"], "1b", 0.45),
-    ],
+    ("words", "tendon", "bend"), [([], "1a", 0.225), (["--tendon", "1b"], "1b", 0.45)]
 )
 def test_of_several_tendons_one_is_estimated_and_named(pair, words, tendon, bend, tmp_path, capsys):
     config, data = pair

@@ -121,10 +121,7 @@ def test_a_file_without_a_bend_is_named(files, tmp_path, capsys):
         ("0,0,0,5,5\n1,1,nan,5,5\n", "not finite"),
         ("0,0,0,5,5\n1,1,x,5,5\n", "'x' is not a number"),
         ("s,deg,deg,kgf,N\n0,0,0,5,5\n1,1,1,5,5\n", "says kgf, and N is read"),
-        (
-            f"0,0,0,5,5\n{COLUMNS}\n1,1,1,6,5\n",
-            "has 2 runs, from line 2, line 4; one",
-        ),
+        (f"0,0,0,5,5\n{COLUMNS}\n1,1,1,6,5\n", "has 2 runs, from line 2, line 4; one"),
     ],
 )
 def test_what_cannot_be_right_is_said(files, tmp_path, rows, message, capsys):

@@ -26,7 +26,7 @@ from slave.rig import RigSample
 from slave.tendon_config import TendonConfig
 from teleop.coupling import Bilateral, DirectConfig, PassivityConfig, WaveConfig
 from teleop.link import NEVER_NS, LatestMessage
-from teleop.messages.messages import MAX_JOINTS, Command, SlaveState, WireType
+from teleop.messages.messages import MAX_JOINTS, Command, SlaveState
 from teleop.messages.topics import COMMAND, STATE
 from teleop.session.state_machine import State
 from tests.anything import CASES, Anything
@@ -56,11 +56,11 @@ class Noise:
         changed = {name: self.field(self.wires[name]) for name in chosen}
         return type(message)(**{n: getattr(message, n) for n in names} | changed)
 
-    def field(self, wire: WireType):
+    def field(self, wire):
         drawn = [self.value(wire) for _ in range(wire.count)]
         return drawn[0] if wire.count == 1 else tuple(drawn)
 
-    def value(self, wire: WireType):
+    def value(self, wire):
         if wire.code == "d":
             return self.draw.number(-1.0, 1.0)
         if wire.code == "q":

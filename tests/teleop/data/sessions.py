@@ -1,8 +1,5 @@
 """Recordings of random sessions by the recorder's own writer, and what their messages say."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 
 from teleop.link import ReceivedMessage
@@ -18,10 +15,10 @@ CLOCK_NS = 7_000_000_000  # of the master, beside the slave's and the recorder's
 _TOPICS = {topic.name: topic for topic in TOPICS}
 
 
-def record(folder: Path, messages: list[tuple[Any, Any, int, int]], session: str = "demo") -> Path:
+def record(folder, messages, session="demo"):
     """Record (topic, message, time of receipt, stamp), one chunk each 10 ms."""
     config = RecordConfig(directory=str(folder), chunk_s=0.01)
-    numbers: dict[str, int] = {}
+    numbers = {}
     with RecordingWriter(config, session, START_NS) as writer:
         for topic, message, received_ns, stamp_ns in messages:
             number = numbers[topic.name] = numbers.get(topic.name, -1) + 1
@@ -31,17 +28,15 @@ def record(folder: Path, messages: list[tuple[Any, Any, int, int]], session: str
     return writer.path
 
 
-def session_messages(
-    joints: int, states: list[State], seed: int = 0, events: dict[int, str] | None = None
-) -> list[tuple[Any, Any, int, int]]:
+def session_messages(joints, states, seed=0, events=None):
     """Random messages, about a state, a command and a hand each millisecond, some missing.
 
     `states` are the slave's, one a millisecond; `events` texts before the state of that number.
     """
     rng = np.random.default_rng(seed)
-    messages: list[tuple[Any, Any, int, int]] = []
+    messages = []
 
-    def draw(cls: type, *names: str, **values: Any) -> Any:
+    def draw(cls, *names, **values):
         arrays = {name: tuple(rng.normal(size=8).tolist()) for name in names}
         return cls(**arrays, **values)
 
@@ -68,11 +63,11 @@ def session_messages(
     return messages
 
 
-def expect_rows(path: Path) -> list[dict[str, Any]]:
+def expect_rows(path):
     """What a table of the recording must say, message by message."""
-    rows: list[dict[str, Any]] = []
-    newest: dict[str, Any] = {}
-    texts: list[tuple[int, str]] = []
+    rows = []
+    newest = {}
+    texts = []
     for recorded in read_messages(path):
         message = _TOPICS[recorded.topic].message.unpack(recorded.data)
         if recorded.topic != "state":
@@ -81,7 +76,7 @@ def expect_rows(path: Path) -> list[dict[str, Any]]:
                 text = bytes(message.text).rstrip(b"\0").decode()
                 texts.append((recorded.log_time_ns, f"{Role(message.role).name.lower()}: {text}"))
             continue
-        row: dict[str, Any] = {
+        row = {
             "stamp_ns": message.stamp_ns,
             "log_ns": recorded.log_time_ns,
             "events": texts,

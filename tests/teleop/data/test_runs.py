@@ -1,7 +1,5 @@
 """Several runs in one file are several records, and never one."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -164,7 +162,7 @@ def test_other_formats_have_runs_too(tmp_path):
 
 
 @pytest.fixture
-def joined(tmp_path) -> Path:
+def joined(tmp_path):
     path = tmp_path / "joined.csv"
     path.write_text("\n".join(JOINED["time starts again"][0]) + "\n")
     return path

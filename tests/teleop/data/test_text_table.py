@@ -252,12 +252,7 @@ def test_words_for_missing_values_are_missing_and_counted(tmp_path, capsys, word
 
 @pytest.mark.parametrize(
     ("word", "said"),
-    [
-        ("****", "range"),
-        ("-O.L", "range"),
-        ("#DIV/0!", "an error"),
-        ("#¡VALOR!", "an error"),
-    ],
+    [("****", "range"), ("-O.L", "range"), ("#DIV/0!", "an error"), ("#¡VALOR!", "an error")],
 )
 def test_an_overload_is_named(tmp_path, capsys, word, said):
     cells = [word if k == 7 else f"{v:.4f}" for k, v in enumerate(TENSION)]
@@ -345,10 +340,7 @@ REFUSED = {
         "\n".join([FIRST, *(row for row in BARE.splitlines() for _ in "12")]) + "\n",
         ["line 3: 0.0 does not", "60 are equal", "--rate 40"],
     ),
-    "a clock that stands": (
-        re.sub(r"(?m)^\d\.\d+", "7", PLAIN),
-        ["59 are equal", "--rate HZ"],
-    ),
+    "a clock that stands": (re.sub(r"(?m)^\d\.\d+", "7", PLAIN), ["59 are equal", "--rate HZ"]),
     "rows of two sources": (
         "\n".join([FIRST, *(f"{k / 40},{k},\n{(k + 0.5) / 40},,0.001" for k in range(60))]) + "\n",
         ["no row has both 'proximal_tension_N' and 'proximal_displacement_m'", "interpolate"],

@@ -6,11 +6,7 @@ from scipy import stats
 
 from teleop.errors import UsageError
 from teleop.experiment.design import BayesianAdaptive, ConstantStimuli, Staircase
-from teleop.experiment.psychometric import (
-    compute_probability,
-    draw_psychometric,
-    fit_psychometric,
-)
+from teleop.experiment.psychometric import compute_probability, draw_psychometric, fit_psychometric
 
 PROCEDURES = {
     "constant": ConstantStimuli(tuple(np.linspace(10, 90, 8)), 10),
@@ -40,10 +36,7 @@ def simulate(procedure, seed, spreads=(8.0, 25.0)):
 
 @pytest.mark.parametrize(
     ("name", "observers"),
-    [
-        ("bayesian 30", 8),
-        *(pytest.param(name, 200, marks=pytest.mark.slow) for name in PROCEDURES),
-    ],
+    [("bayesian 30", 8), *(pytest.param(name, 200, marks=pytest.mark.slow) for name in PROCEDURES)],
 )
 def test_the_interval_holds_the_true_threshold_as_often_as_it_says(name, observers, capsys):
     hits, widths, trials = 0, [], 0

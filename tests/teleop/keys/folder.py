@@ -1,8 +1,5 @@
 """Folders of keys for tests."""
 
-from datetime import datetime
-from pathlib import Path
-
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from teleop.security.authority import Authority
@@ -11,14 +8,7 @@ from teleop.security.credentials import build_file_stem
 from teleop.security.identity import RIGHTS, CertificateRole, Identity
 
 
-def put(
-    authority: Authority,
-    folder: Path,
-    identity: Identity,
-    days: float = 1.0,
-    start: datetime | None = None,
-    name: str = "",
-) -> Path:
+def put(authority, folder, identity, days=1.0, start=None, name=""):
     """Issue a certificate into a folder, under the name of its holder or of another."""
     certificate, key = authority.issue(identity, days, start)
     path = folder / f"{name or build_file_stem(identity.role, identity.session)}.pem"
@@ -27,7 +17,7 @@ def put(
     return path
 
 
-def make_keys(folder: Path, session: str = "test", authority: Authority | None = None) -> Path:
+def make_keys(folder, session="test", authority=None):
     """A folder of keys of all roles, of an authority of its own unless one is given."""
     authority = authority or Authority.create("test authority", 2)
     authority.publish(folder)

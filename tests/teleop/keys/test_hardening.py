@@ -4,7 +4,6 @@ import os
 import random
 import threading
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 import pytest
 from cryptography import x509
@@ -28,22 +27,22 @@ MASTER = Identity(CertificateRole.MASTER, "test")
 
 
 @pytest.fixture
-def authority() -> Authority:
+def authority():
     return Authority.create("test authority", 2)
 
 
-def load(folder: Path) -> credentials.Credentials:
+def load(folder):
     return credentials.load(folder, "test", CertificateRole.MASTER)
 
 
-def refusal(folder: Path) -> str:
+def refusal(folder):
     with pytest.raises(UsageError) as caught:
         load(folder)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
-def test_files_that_others_can_change_are_refused_with_the_remedy(tmp_path: Path) -> None:
+def test_files_that_others_can_change_are_refused_with_the_remedy(tmp_path):
     keys = make_keys(tmp_path / "keys")
     for path in (keys / "authority.pem", keys / REVOKED, keys / "test.master.pem"):
         path.chmod(0o664)
@@ -56,7 +55,7 @@ def test_files_that_others_can_change_are_refused_with_the_remedy(tmp_path: Path
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file away")
-def test_keys_of_another_user_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_keys_of_another_user_are_refused(tmp_path, monkeypatch):
     keys = make_keys(tmp_path / "keys")
     for path in (keys, *keys.iterdir()):
         os.chown(path, 54321, -1)
@@ -68,13 +67,13 @@ def test_keys_of_another_user_are_refused(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_a_write_that_fails_leaves_neither_a_part_of_the_key_nor_a_broken_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, monkeypatch
+):
     path = tmp_path / "a.key"
     write_file(path, b"before", 0o600)
     assert path.stat().st_mode & 0o777 == 0o600
 
-    def full(_: int) -> None:
+    def full(_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(certificates.os, "fsync", full)
@@ -84,7 +83,7 @@ def test_a_write_that_fails_leaves_neither_a_part_of_the_key_nor_a_broken_file(
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_link_in_the_place_of_a_new_file_is_not_followed(tmp_path: Path) -> None:
+def test_a_link_in_the_place_of_a_new_file_is_not_followed(tmp_path):
     victim = tmp_path / "victim"
     victim.write_text("precious")
     for name in ("a.key", f".a.key.{os.getpid()}.partial"):
@@ -95,9 +94,7 @@ def test_a_link_in_the_place_of_a_new_file_is_not_followed(tmp_path: Path) -> No
         assert (tmp_path / "a.key").stat().st_mode & 0o777 == 0o600
 
 
-def test_local_keys_of_many_first_starts_at_once_are_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_local_keys_of_many_first_starts_at_once_are_the_same(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     found = []
     threads = [
@@ -116,9 +113,7 @@ def test_local_keys_of_many_first_starts_at_once_are_the_same(
     assert find_local_folder().parent.stat().st_mode & 0o077 == 0
 
 
-def test_local_keys_in_a_folder_that_is_a_link_of_somebody_else_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_local_keys_in_a_folder_that_is_a_link_of_somebody_else_are_refused(tmp_path, monkeypatch):
     Authority.create("theirs", 365).save(tmp_path / "theirs")
     (tmp_path / "theirs").chmod(0o755)
     (tmp_path / "teleop").mkdir()
@@ -128,7 +123,7 @@ def test_local_keys_in_a_folder_that_is_a_link_of_somebody_else_are_refused(
         create_local_credentials("a", CertificateRole.MASTER)
 
 
-def test_an_authority_that_has_expired_ends_its_certificates(authority: Authority) -> None:
+def test_an_authority_that_has_expired_ends_its_certificates(authority):
     now = datetime.now(UTC)
     old = Authority.create("old", -0.5, now - timedelta(days=1))
     certificate, _ = old.issue(MASTER, 1.0)
@@ -140,9 +135,7 @@ def test_an_authority_that_has_expired_ends_its_certificates(authority: Authorit
     assert credentials.identify_holder(certificate, authority.certificate, frozenset()) == MASTER
 
 
-def test_the_command_refuses_what_would_do_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_refuses_what_would_do_nothing(tmp_path, capsys):
     home, out = str(tmp_path / "authority"), tmp_path / "out"
     assert commands.main(["keys", "init", home, "--days", "30"]) == 0
     theirs = make_keys(tmp_path / "theirs")
@@ -158,7 +151,7 @@ def test_the_command_refuses_what_would_do_nothing(
         assert complaint in capsys.readouterr().err
 
 
-def test_a_name_out_of_a_foreign_certificate_cannot_write_to_the_terminal() -> None:
+def test_a_name_out_of_a_foreign_certificate_cannot_write_to_the_terminal():
     other = Authority.create("another", 2)
     for name in ("master.test\x1b[2J\r\n", "\u202emaster", "x" * 64):
         basic = _build_certificate(
@@ -175,7 +168,7 @@ def test_a_name_out_of_a_foreign_certificate_cannot_write_to_the_terminal() -> N
 
 @pytest.mark.parametrize("count", [500, pytest.param(50_000, marks=pytest.mark.slow)])
 @pytest.mark.filterwarnings("ignore:Attribute's length")  # of a damaged name
-def test_damaged_proofs_are_refused_and_nothing_else(authority: Authority, count: int) -> None:
+def test_damaged_proofs_are_refused_and_nothing_else(authority, count):
     certificate, key = authority.issue(MASTER)
     ours = credentials.Credentials(MASTER, certificate, key, authority.certificate)
     token = Token(Role.MASTER, LAYOUT, 7, RoleStage.HELD)
@@ -204,7 +197,7 @@ def test_damaged_proofs_are_refused_and_nothing_else(authority: Authority, count
                 raise AssertionError(damaged)
 
 
-def test_no_key_is_in_what_is_shown_of_credentials(authority: Authority) -> None:
+def test_no_key_is_in_what_is_shown_of_credentials(authority):
     certificate, key = authority.issue(MASTER)
     ours = credentials.Credentials(MASTER, certificate, key, authority.certificate)
     secret = key.private_bytes_raw()

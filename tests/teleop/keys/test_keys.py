@@ -2,7 +2,6 @@
 
 import os
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 import pytest
 
@@ -19,16 +18,16 @@ MASTER = Identity(CertificateRole.MASTER, "test")
 
 
 @pytest.fixture
-def authority() -> Authority:
+def authority():
     return Authority.create("test authority", 2)
 
 
-def load(folder: Path, role: CertificateRole = CertificateRole.MASTER) -> credentials.Credentials:
+def load(folder, role=CertificateRole.MASTER):
     return credentials.load(folder, "test", role)
 
 
 @pytest.mark.parametrize("role", list(CertificateRole))
-def test_a_name_says_role_session_and_rights(role: CertificateRole) -> None:
+def test_a_name_says_role_session_and_rights(role):
     rights = RIGHTS if role is CertificateRole.SUPERVISOR else ()
     assert Identity.parse(f"{role}.theatre-2") == (role, "theatre-2", rights)
     assert len(Identity(role, "s" * 40, rights[:2]).common_name) <= 64
@@ -37,26 +36,26 @@ def test_a_name_says_role_session_and_rights(role: CertificateRole) -> None:
             Identity.parse(bad)
 
 
-def test_a_supervisor_has_the_rights_of_its_name() -> None:
+def test_a_supervisor_has_the_rights_of_its_name():
     assert Identity.parse("supervisor-stop.a").rights == ("stop",)
     assert set(list_supervisor_names("a", "set")) == {
         "supervisor.a", "supervisor-set.a", "supervisor-reset-set.a", "supervisor-set-stop.a",
     }  # fmt: skip
 
 
-def test_only_a_router_is_for_all_sessions() -> None:
+def test_only_a_router_is_for_all_sessions():
     assert Identity.parse("router.*").may_join("anything")
     with pytest.raises(ValueError, match="only a router"):
         Identity.parse("master.*")
 
 
-def test_issued_keys_are_believed(tmp_path: Path) -> None:
+def test_issued_keys_are_believed(tmp_path):
     folder = make_keys(tmp_path)
     for role in CertificateRole:
         assert load(folder, role).identity.role is role
 
 
-def test_every_flaw_is_named(tmp_path: Path, authority: Authority) -> None:
+def test_every_flaw_is_named(tmp_path, authority):
     folder = make_keys(tmp_path / "keys", authority=authority)
     now = datetime.now(UTC)
     other = Authority.create("another", 2)
@@ -91,9 +90,7 @@ def test_every_flaw_is_named(tmp_path: Path, authority: Authority) -> None:
         load(tmp_path / "nowhere")
 
 
-def test_a_revoked_certificate_is_refused_and_the_list_must_be_genuine(
-    tmp_path: Path, authority: Authority
-) -> None:
+def test_a_revoked_certificate_is_refused_and_the_list_must_be_genuine(tmp_path, authority):
     folder = make_keys(tmp_path, authority=authority)
     serial = load(folder).certificate.serial_number
     authority.revoke(serial).publish(folder)
@@ -109,9 +106,7 @@ def test_a_revoked_certificate_is_refused_and_the_list_must_be_genuine(
         load(folder)
 
 
-def test_local_keys_make_themselves_once_and_are_private(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_local_keys_make_themselves_once_and_are_private(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     one = create_local_credentials("a", CertificateRole.MASTER)
     two = create_local_credentials("a", CertificateRole.SLAVE)
@@ -125,18 +120,14 @@ def test_local_keys_make_themselves_once_and_are_private(
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root can write everywhere")
-def test_no_place_for_local_keys_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_place_for_local_keys_is_one_line(tmp_path, monkeypatch):
     tmp_path.chmod(0o500)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     with pytest.raises(UsageError, match="set XDG_STATE_HOME"):
         create_local_credentials("a", CertificateRole.MASTER)
 
 
-def test_the_command_makes_what_a_session_needs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_makes_what_a_session_needs(tmp_path, capsys):
     home, out = str(tmp_path / "authority"), tmp_path / "out"
     issue = ["keys", "issue", home, "--session", "test", "--out", str(out)]
     assert commands.main(["keys", "init", home]) == 0

@@ -2,7 +2,6 @@
 
 import pytest
 
-from teleop.link import LinkConfig
 from teleop.link import link as link_module
 from tests.teleop.link.bench import free_config
 
@@ -10,15 +9,15 @@ SETTLE_S = link_module.SETTLE_S
 
 
 @pytest.fixture(autouse=True)
-def short_settling(monkeypatch: pytest.MonkeyPatch) -> None:
+def short_settling(monkeypatch):
     monkeypatch.setattr(link_module, "SETTLE_S", 0.05)
 
 
 @pytest.fixture
-def true_settling(monkeypatch: pytest.MonkeyPatch, short_settling: None) -> None:
+def true_settling(monkeypatch, short_settling):
     monkeypatch.setattr(link_module, "SETTLE_S", SETTLE_S)
 
 
 @pytest.fixture
-def config() -> LinkConfig:
+def config():
     return free_config()

@@ -7,7 +7,6 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 import zenoh
@@ -29,7 +28,7 @@ from teleop.security import CERTIFICATE_ROLES, RIGHTS, CertificateRole, Credenti
 from teleop.security import credentials as credentials_module
 from teleop.security.access import build_access_control
 from teleop.security.authority import Authority
-from teleop.security.handshake import Handshake, PairKeys
+from teleop.security.handshake import Handshake
 from teleop.security.keyring import DEPARTED_PEERS_MAX, Keyring
 from teleop.security.presence import LISTENER_ROLES, RoleStage, Token, build_token_root, list_groups
 from tests.teleop.link.bench import await_refusals, wait_until
@@ -39,21 +38,21 @@ SECOND = 1_000_000_000
 SHOWN = 128  # characters of a proof before the certificate
 
 
-def a_token(certificate: str, role: Role = Role.REMOTE, limit: str = "") -> Token:
+def a_token(certificate, role=Role.REMOTE, limit=""):
     """A token with a worthless proof of some certificate."""
     proof = secrets.token_urlsafe(96)[:SHOWN] + certificate
     return Token(role, LAYOUT, secrets.randbits(64), RoleStage.HELD, proof=proof, limit=limit)
 
 
 class Clock:
-    def __init__(self) -> None:
+    def __init__(self):
         self.now = 0
 
-    def __call__(self) -> int:
+    def __call__(self):
         return self.now
 
 
-def checks_until(admission: Admission, clock: Clock, sought: Token, flood: Any) -> int:
+def checks_until(admission, clock, sought, flood):
     """Number of checks, among tokens that come meanwhile, until `sought` is checked."""
     for number in range(1, 10_000):
         for token in flood():
@@ -67,7 +66,7 @@ def checks_until(admission: Admission, clock: Clock, sought: Token, flood: Any) 
     raise AssertionError("never")
 
 
-def test_a_flood_of_one_certificate_keeps_only_that_one_waiting() -> None:
+def test_a_flood_of_one_certificate_keeps_only_that_one_waiting():
     clock = Clock()
     admission = Admission("remote", clock)
     attacker, genuine = a_token("attacker"), a_token("genuine")
@@ -79,7 +78,7 @@ def test_a_flood_of_one_certificate_keeps_only_that_one_waiting() -> None:
     assert checks_until(admission, clock, genuine, lambda: [a_token("attacker")] * 20) <= 2
 
 
-def test_a_new_certificate_waits_beside_the_unknown_ones_and_then_no_more() -> None:
+def test_a_new_certificate_waits_beside_the_unknown_ones_and_then_no_more():
     clock = Clock()
     admission = Admission("remote", clock)
     claim, held = a_token("new"), a_token("new")
@@ -96,7 +95,7 @@ def test_a_new_certificate_waits_beside_the_unknown_ones_and_then_no_more() -> N
     assert checks_until(admission, clock, second, list) <= 2
 
 
-def test_copies_of_a_certificate_do_not_keep_its_holder_out_for_good() -> None:
+def test_copies_of_a_certificate_do_not_keep_its_holder_out_for_good():
     """He shows his token again and again; chance takes one of all that wait."""
     clock = Clock()
     admission = Admission("remote", clock)
@@ -107,7 +106,7 @@ def test_copies_of_a_certificate_do_not_keep_its_holder_out_for_good() -> None:
     )
 
 
-def test_worthless_tokens_are_checked_once_and_all_is_bounded() -> None:
+def test_worthless_tokens_are_checked_once_and_all_is_bounded():
     clock = Clock()
     admission = Admission("remote", clock)
     worthless = a_token("x")
@@ -126,7 +125,7 @@ def test_worthless_tokens_are_checked_once_and_all_is_bounded() -> None:
     assert sum(made_place) == 4 * QUEUED_TOKENS_MAX
 
 
-def test_checks_are_limited_and_a_token_that_vanishes_is_not_checked() -> None:
+def test_checks_are_limited_and_a_token_that_vanishes_is_not_checked():
     clock = Clock()
     admission = Admission("remote-stop", clock)
     for _ in range(CHECK_BURST + 30):
@@ -144,10 +143,10 @@ def test_checks_are_limited_and_a_token_that_vanishes_is_not_checked() -> None:
         assert taken[0] != gone
 
 
-def test_each_group_of_tokens_may_be_announced_by_its_certificates_only() -> None:
+def test_each_group_of_tokens_may_be_announced_by_its_certificates_only():
     access = build_access_control(["test"])
     names = {s["id"]: s["cert_common_names"] for s in access["subjects"] if s["id"] != "anyone"}
-    announced: dict[str, set[str]] = {}
+    announced = {}
     for rule in access["rules"]:
         if "liveliness_token" in rule["messages"] and rule["flows"] == ["ingress"]:
             holders = {
@@ -173,27 +172,27 @@ def test_each_group_of_tokens_may_be_announced_by_its_certificates_only() -> Non
 class Network:
     """Stands in for a Zenoh session: the tokens that a test announces, kept as Zenoh keeps them."""
 
-    def __init__(self) -> None:
-        self.rings: dict[str, deque[Any]] = {}
-        self.asked: list[str] = []  # keys of the challenges
-        self.shown: list[bytes] = []  # tokens in them
+    def __init__(self):
+        self.rings = {}
+        self.asked = []  # keys of the challenges
+        self.shown = []  # tokens in them
 
-    def liveliness(self) -> Any:
+    def liveliness(self):
         return SimpleNamespace(declare_subscriber=self._watch)
 
-    def declare_queryable(self, *_: Any) -> Any:
+    def declare_queryable(self, *_):
         return SimpleNamespace(undeclare=lambda: None)
 
-    def get(self, key: str, *_: Any, payload: bytes, **__: Any) -> None:
+    def get(self, key, *_, payload, **__):
         self.asked.append(key)
         self.shown.append(payload[CHALLENGE_BYTES + 8 :])
 
-    def announce(self, token: Token, kind: Any = zenoh.SampleKind.PUT) -> None:
+    def announce(self, token, kind=zenoh.SampleKind.PUT):
         key = token.to_key("test")
         ring = self.rings[f"{build_token_root('test')}/{token.group}/**"]
         ring.append(SimpleNamespace(key_expr=key, kind=kind))
 
-    def _watch(self, key: str, handler: Any, history: bool) -> Any:
+    def _watch(self, key, handler, history):
         assert isinstance(handler, zenoh.handlers.RingChannel)
         assert history
         ring = self.rings[key] = deque(maxlen=PENDING_TOKENS_MAX)
@@ -205,46 +204,44 @@ class Network:
 class Session:
     """The roster of a process that starts, and the certificates of others."""
 
-    def __init__(self, role: Role = Role.SLAVE) -> None:
+    def __init__(self, role=Role.SLAVE):
         self.authority = Authority.create("ours", 2)
         self.network, self.refusals = Network(), RefusalCounter()
         self.keyring = Keyring(role, 1)
         token = Token(role, LAYOUT, 1, RoleStage.CLAIM)
         rights = ("stop",) if CERTIFICATE_ROLES[role] is CertificateRole.SUPERVISOR else ()
         handshake = Handshake(self.issue(CERTIFICATE_ROLES[role], rights), "test", 1)
-        network: Any = self.network
+        network = self.network
         self.roster = Roster(network, "test", token, False, handshake, self.keyring, self.refusals)
 
-    def issue(
-        self, role: CertificateRole, rights: tuple[str, ...] = (), start: datetime | None = None
-    ) -> Credentials:
+    def issue(self, role, rights=(), start=None):
         identity = Identity(role, "test", rights)
         certificate, key = self.authority.issue(identity, 1, start)
         return Credentials(identity, certificate, key, self.authority.certificate)
 
-    def genuine(self, credentials: Credentials, role: Role, nonce: int) -> Token:
+    def genuine(self, credentials, role, nonce):
         token = Token(role, LAYOUT, nonce, RoleStage.HELD)
         return Handshake(credentials, "test", nonce).prove(token)
 
-    def worthless(self, token: Token) -> Token:
+    def worthless(self, token):
         """A token with the certificate of another one, and nothing else."""
         copied = a_token(token.certificate, token.role, token.limit)
         assert copied.group == token.group
         return copied
 
-    def is_asked(self, nonce: int) -> bool:
+    def is_asked(self, nonce):
         """Whether this process was believed, and challenged."""
         return any(key.endswith(f"{nonce:016x}") for key in tuple(self.network.asked))
 
 
 @pytest.fixture
-def session() -> Any:
+def session():
     session = Session()
     yield session
     session.roster.close()
 
 
-def test_worthless_proofs_without_the_right_do_not_keep_out_who_may_stop(session: Session) -> None:
+def test_worthless_proofs_without_the_right_do_not_keep_out_who_may_stop(session):
     attacker = session.genuine(session.issue(CertificateRole.SUPERVISOR, ("set",)), Role.REMOTE, 5)
     for _ in range(1000):
         session.network.announce(session.worthless(attacker))
@@ -255,7 +252,7 @@ def test_worthless_proofs_without_the_right_do_not_keep_out_who_may_stop(session
     assert any("does not hold the key" in line for line in session.refusals.take())
 
 
-def test_a_group_that_the_certificate_does_not_give_is_refused(session: Session) -> None:
+def test_a_group_that_the_certificate_does_not_give_is_refused(session):
     """Zenoh's access control does it before; a router could pass it on."""
     credentials = session.issue(CertificateRole.SUPERVISOR, ("set",))
     handshake = Handshake(credentials, "test", 7)
@@ -266,9 +263,7 @@ def test_a_group_that_the_certificate_does_not_give_is_refused(session: Session)
     assert not session.is_asked(7)
 
 
-def test_tokens_of_one_certificate_make_place_for_those_of_another(
-    session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tokens_of_one_certificate_make_place_for_those_of_another(session, monkeypatch):
     monkeypatch.setattr(roster_module, "SILENCE_WARNING_NS", 10**15)  # nobody here answers
     credentials = session.issue(CertificateRole.SUPERVISOR, RIGHTS)
     for nonce in range(10, 10 + GROUP_TOKENS_MAX):
@@ -280,13 +275,11 @@ def test_tokens_of_one_certificate_make_place_for_those_of_another(
     assert len(session.roster._processes) == GROUP_TOKENS_MAX
 
 
-def test_an_error_of_one_token_is_noted_and_the_next_ones_are_looked_at(
-    session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_error_of_one_token_is_noted_and_the_next_ones_are_looked_at(session, monkeypatch):
     credentials = session.issue(CertificateRole.SUPERVISOR, ("stop",))
     examine = session.roster.examine
 
-    def fail(token: Token) -> Any:
+    def fail(token):
         if token.nonce == 5:
             raise ArithmeticError("unforeseen")
         return examine(token)
@@ -298,10 +291,10 @@ def test_an_error_of_one_token_is_noted_and_the_next_ones_are_looked_at(
     wait_until(lambda: session.is_asked(6))
 
 
-def test_who_challenges_is_looked_at_though_its_token_was_lost(session: Session) -> None:
+def test_who_challenges_is_looked_at_though_its_token_was_lost(session):
     """And not if its token has vanished: a challenge may come late."""
     credentials = session.issue(CertificateRole.SUPERVISOR, RIGHTS)
-    answered: list[PairKeys] = []
+    answered = []
     session.roster._show(session.genuine(credentials, Role.WATCH, 8), answered.append)
     wait_until(lambda: session.is_asked(8))
     late = session.genuine(credentials, Role.WATCH, 9)
@@ -312,9 +305,7 @@ def test_who_challenges_is_looked_at_though_its_token_was_lost(session: Session)
     assert not session.is_asked(9)
 
 
-def test_a_token_that_vanished_a_while_ago_may_come_back_by_a_challenge(
-    session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_token_that_vanished_a_while_ago_may_come_back_by_a_challenge(session, monkeypatch):
     """Its announcement may be lost."""
     credentials = session.issue(CertificateRole.SUPERVISOR, RIGHTS)
     token = session.genuine(credentials, Role.WATCH, 9)
@@ -326,9 +317,7 @@ def test_a_token_that_vanished_a_while_ago_may_come_back_by_a_challenge(
     wait_until(lambda: session.is_asked(9))
 
 
-def test_a_certificate_that_becomes_valid_is_believed_then(
-    session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_certificate_that_becomes_valid_is_believed_then(session, monkeypatch):
     """Not for the rest of the run worthless: a clock may be set."""
     now = datetime.now(UTC)
     credentials = session.issue(CertificateRole.SUPERVISOR, RIGHTS, now + timedelta(hours=1))
@@ -341,7 +330,7 @@ def test_a_certificate_that_becomes_valid_is_believed_then(
     wait_until(lambda: session.is_asked(9))
 
 
-def test_a_challenge_announces_a_supervisor_and_leaves_the_claim_of_a_side_a_claim() -> None:
+def test_a_challenge_announces_a_supervisor_and_leaves_the_claim_of_a_side_a_claim():
     for role, shown in ((Role.REMOTE, b"/remote-stop/"), (Role.SLAVE, b"/slave/")):
         session = Session(role)
         master = session.genuine(session.issue(CertificateRole.MASTER), Role.MASTER, 11)
@@ -353,11 +342,9 @@ def test_a_challenge_announces_a_supervisor_and_leaves_the_claim_of_a_side_a_cla
         assert (b"/held/" in token) == (role is Role.REMOTE)
 
 
-def test_a_listener_is_answered_and_not_announced_nor_challenged(
-    session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_listener_is_answered_and_not_announced_nor_challenged(session, monkeypatch):
     """Its proof is checked once, and until it has shown itself again after others."""
-    checked: list[Token] = []
+    checked = []
     check = session.roster.examine
     monkeypatch.setattr(session.roster, "examine", lambda t: checked.append(t) or check(t))
     credentials, answered = session.issue(CertificateRole.VIEWER), []
@@ -379,7 +366,7 @@ def test_a_listener_is_answered_and_not_announced_nor_challenged(
     assert answered[-1] == answered[0]
 
 
-def test_peers_that_come_and_go_do_not_displace_one_that_is_there() -> None:
+def test_peers_that_come_and_go_do_not_displace_one_that_is_there():
     keyring = Keyring(Role.SLAVE, 2)
     launcher = MASTER._replace(role=Role.LAUNCHER, nonce=9)
     keyring.add(launcher, KEYS)

@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -23,7 +22,7 @@ from teleop.link.config import Address, Endpoint
         ("127.0.0.1.example.org:7447", ("127.0.0.1.example.org", 7447), False),
     ],
 )
-def test_addresses(text: str, address: tuple[str, int], loopback: bool) -> None:
+def test_addresses(text, address, loopback):
     assert Address.parse(text) == address
     assert Address.parse(text).loopback == loopback
 
@@ -36,7 +35,7 @@ def test_addresses(text: str, address: tuple[str, int], loopback: bool) -> None:
         "127.0.0.1:7447;10.0.0.1:7447", "127.0.0.1:7447#iface=eth0", "*:7447", "ws/127.0.0.1:7447",
     ],
 )  # fmt: skip
-def test_bad_addresses_are_refused(text: str) -> None:
+def test_bad_addresses_are_refused(text):
     with pytest.raises(ValueError, match=r"address|port|host|connected"):
         Address.parse(text)
     with pytest.raises(ValueError, match=r"^slave: "):
@@ -44,7 +43,7 @@ def test_bad_addresses_are_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize("protocol", ["tcp", "tls"])
-def test_an_old_address_is_refused_with_the_new_form(protocol: str) -> None:
+def test_an_old_address_is_refused_with_the_new_form(protocol):
     with pytest.raises(ValueError, match=rf"^slave: write 127.0.0.1:7448 without {protocol}/"):
         LinkConfig(slave=f"{protocol}/127.0.0.1:7448")
 
@@ -59,24 +58,24 @@ def test_an_old_address_is_refused_with_the_new_form(protocol: str) -> None:
         ("192.168.1.999:7447", "'192.168.1.999' is not a host name or IP address"),
     ],
 )
-def test_an_address_that_cannot_be_connected_to_is_refused_with_what_to_write(text, said) -> None:
+def test_an_address_that_cannot_be_connected_to_is_refused_with_what_to_write(text, said):
     with pytest.raises(ValueError, match=f"^{re.escape(said)}"):
         Address.parse(text)
 
 
-def test_a_zone_is_refused_with_the_reason() -> None:
+def test_a_zone_is_refused_with_the_reason():
     with pytest.raises(ValueError, match=r"^slave: a zone \(%eth0\) is not possible"):
         LinkConfig(slave="[fe80::1%eth0]:7447")
 
 
-def test_a_router_of_ros_has_its_protocol() -> None:
+def test_a_router_of_ros_has_its_protocol():
     assert Endpoint.parse("tcp/127.0.0.1:7447") == ("tcp", "127.0.0.1", 7447)
     for text in ("127.0.0.1:7447", "udp/127.0.0.1:7447", "tcp/127.0.0.1"):
         with pytest.raises(ValueError, match=r"endpoint|address"):
             Endpoint.parse(text)
 
 
-def test_off_loopback_keys_are_needed_unless_asked_otherwise(tmp_path: Path) -> None:
+def test_off_loopback_keys_are_needed_unless_asked_otherwise(tmp_path):
     for change in ({"slave": "192.168.1.2:7448"}, {"master": "rig.lab:7447"}):
         (name,) = change
         with pytest.raises(ValueError, match=rf"^{name}: off loopback, link\.keys must"):
@@ -85,7 +84,7 @@ def test_off_loopback_keys_are_needed_unless_asked_otherwise(tmp_path: Path) -> 
         LinkConfig(**change, keys=tmp_path)
 
 
-def test_twice_the_same_endpoint_is_refused() -> None:
+def test_twice_the_same_endpoint_is_refused():
     with pytest.raises(ValueError, match=r"^slave: must differ from the endpoint"):
         LinkConfig(master="127.0.0.1:7000", slave="127.0.0.1:7000")
 
@@ -104,7 +103,7 @@ except UsageError as error:
 
 
 @pytest.mark.slow
-def test_a_process_that_listens_may_open_as_many_files_as_its_user() -> None:
+def test_a_process_that_listens_may_open_as_many_files_as_its_user():
     """Strangers take one for each connection."""
     code = FEW_FILES.replace("[], []", "['127.0.0.1:0'], []")
     code += "print(resource.getrlimit(resource.RLIMIT_NOFILE))"
@@ -118,9 +117,7 @@ def test_a_process_that_listens_may_open_as_many_files_as_its_user() -> None:
     [(("20", "24"), "this process may open 24 files only; allow it 64: ulimit -n 64\n"),
      pytest.param(("20", "1000"), "", marks=pytest.mark.slow)],
 )  # fmt: skip
-def test_where_few_files_may_be_open_a_link_is_refused_or_allowed_more(
-    limits: tuple[str, str], said: str
-) -> None:
+def test_where_few_files_may_be_open_a_link_is_refused_or_allowed_more(limits, said):
     words = [sys.executable, "-c", FEW_FILES, *limits]
     run = subprocess.run(words, capture_output=True, text=True, check=True, timeout=60)
     assert (run.stdout, run.stderr) == (said, "")

@@ -7,16 +7,14 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from ipaddress import ip_network
 from pathlib import Path
-from typing import Any
 
 import pytest
 import zenoh
 
-from teleop.link import Link, LinkConfig, connection_guard, packet_filter, socket_tables
+from teleop.link import Link, connection_guard, packet_filter, socket_tables
 from teleop.link.connection_guard import ConnectionGuard
 from teleop.link.network import open_session
 from teleop.messages.topics import Role
@@ -51,7 +49,7 @@ needs_root = pytest.mark.skipif(os.getuid() != 0, reason="becomes another user")
 
 
 @contextmanager
-def stranger(kind: str, endpoint: str) -> Iterator[None]:
+def stranger(kind, endpoint):
     """Another user of this machine, without keys."""
     words = [sys.executable, "-c", STRANGER, kind, *endpoint.rsplit(":", 1)]
     with subprocess.Popen(words, stdout=subprocess.PIPE) as process:
@@ -63,7 +61,7 @@ def stranger(kind: str, endpoint: str) -> Iterator[None]:
             process.kill()
 
 
-def connects(endpoint: str, seconds: float) -> None:
+def connects(endpoint, seconds):
     """Assert that a holder of a certificate is let in."""
     with open_session(
         create_local_credentials("test", CertificateRole.VIEWER), [], [endpoint]
@@ -73,9 +71,7 @@ def connects(endpoint: str, seconds: float) -> None:
 
 @needs_root
 @pytest.mark.parametrize("kind", ["failing", pytest.param("silent", marks=pytest.mark.slow)])
-def test_a_stranger_keeps_nobody_out(
-    kind: str, config: LinkConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stranger_keeps_nobody_out(kind, config, monkeypatch):
     """Fifty failing connections a second, or 300 that say nothing."""
     monkeypatch.setattr(connection_guard, "BLOCK_S", 60.0)
     with Link(config, "test", Role.SLAVE) as slave:
@@ -86,9 +82,7 @@ def test_a_stranger_keeps_nobody_out(
         connects(config.slave, 20.0)
 
 
-def test_half_open_connections_are_ended(
-    config: LinkConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_half_open_connections_are_ended(config, monkeypatch):
     monkeypatch.setattr(connection_guard, "HALF_OPEN_S", 0.2)
     host, port = config.slave.split(":")
     with Link(config, "test", Role.SLAVE), ExitStack() as stack:
@@ -102,7 +96,7 @@ def test_half_open_connections_are_ended(
 
 
 @pytest.mark.parametrize(("host", "network"), [("127.0.0.1", "127.0.0.0/8"), ("::1", "::1/128")])
-def test_a_filter_drops_a_source_and_passes_ports_of_ours(host: str, network: str) -> None:
+def test_a_filter_drops_a_source_and_passes_ports_of_ours(host, network):
     version = ip_network(network).version
     family = socket.AF_INET if version == 4 else socket.AF_INET6
     with ExitStack() as stack:
@@ -135,7 +129,7 @@ FEW, STUCK, BURST = (
 )
 
 
-def addresses(network: str, count: int, counts: tuple[int, int]) -> dict[Any, tuple[int, int]]:
+def addresses(network, count, counts):
     """Half-open connections of the first addresses of a network."""
     hosts = itertools.islice(ip_network(network).hosts(), count)
     return {ip_network(host): counts for host in hosts}
@@ -170,14 +164,12 @@ CHOICES = {
 
 
 @pytest.mark.parametrize(("half_open", "blocked"), CHOICES.values(), ids=CHOICES)
-def test_a_network_is_blocked_only_for_many_of_its_addresses_and_never_our_own(
-    half_open: dict[Any, tuple[int, int]], blocked: Iterable[Any]
-) -> None:
+def test_a_network_is_blocked_only_for_many_of_its_addresses_and_never_our_own(half_open, blocked):
     chosen = connection_guard._choose_blocks(half_open, [], 16, {ip_network(OWN)})
     assert sorted(map(str, chosen)) == sorted(map(str, blocked))
 
 
-def test_a_network_follows_its_addresses_that_are_blocked_one_after_another() -> None:
+def test_a_network_follows_its_addresses_that_are_blocked_one_after_another():
     blocked = [*addresses(FOREIGN, 7, FEW)]
     for last, chosen in ((FEW, []), (STUCK, [ip_network(FOREIGN)])):
         half_open = {ip_network("2001:db8:1::99"): last}
@@ -185,7 +177,7 @@ def test_a_network_follows_its_addresses_that_are_blocked_one_after_another() ->
     assert connection_guard._choose_blocks(half_open, [ip_network(FOREIGN)], 16, set()) == []
 
 
-def test_our_networks_are_those_of_the_interfaces_and_of_what_is_listened_at() -> None:
+def test_our_networks_are_those_of_the_interfaces_and_of_what_is_listened_at():
     table = (
         "20010db8000200000000000000000005 02 40 00 80     eth0\n"
         "fe800000000000000000000000000005 02 40 20 80     eth0\n"
@@ -218,14 +210,14 @@ for version, family in ((4, socket.AF_INET), (6, socket.AF_INET6)):
 
 
 @needs_root
-def test_the_largest_filter_fits_into_what_kernels_allow_beside_the_one_before_it() -> None:
+def test_the_largest_filter_fits_into_what_kernels_allow_beside_the_one_before_it():
     """In a network of its own, whose limit is the default before Linux 6.8."""
     words = ["unshare", "--net", sys.executable, "-c", LARGEST]
     run = subprocess.run(words, capture_output=True, text=True, check=False)
     assert (run.returncode, run.stderr) == (0, "")
 
 
-def test_the_newest_sources_are_in_a_filter_that_is_full() -> None:
+def test_the_newest_sources_are_in_a_filter_that_is_full():
     blocked = dict.fromkeys((ip_network(f"198.18.{n}.1") for n in range(250)), False)
     program = b"".join(packet_filter.build_filter(4, blocked, []))
     assert b"".join(packet_filter._build_drop(ip_network("198.18.249.1"), [])) in program
@@ -233,7 +225,7 @@ def test_the_newest_sources_are_in_a_filter_that_is_full() -> None:
 
 
 @contextmanager
-def no_descriptor_left() -> Iterator[None]:
+def no_descriptor_left():
     """Take all descriptors that this process may have."""
     limit, taken = resource.getrlimit(resource.RLIMIT_NOFILE), []
     highest = max(map(int, os.listdir("/dev/fd")))
@@ -249,7 +241,7 @@ def no_descriptor_left() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_NOFILE, limit)
 
 
-def test_nothing_is_forgotten_when_no_descriptor_is_left() -> None:
+def test_nothing_is_forgotten_when_no_descriptor_is_left():
     guard = ConnectionGuard.__new__(ConnectionGuard)
     guard._sockets = {}
     with socket.create_server(("127.0.0.1", 0)) as server, ExitStack() as stack:
@@ -272,7 +264,7 @@ def test_nothing_is_forgotten_when_no_descriptor_is_left() -> None:
         ends[1].send(b"still open")
 
 
-def test_the_tables_of_the_machine_are_read_when_no_descriptor_is_left() -> None:
+def test_the_tables_of_the_machine_are_read_when_no_descriptor_is_left():
     tables = socket_tables.open_tables([Path("/proc/net/tcp"), Path("/no/such")])
     with socket.create_server(("127.0.0.1", 0)) as server, no_descriptor_left():
         row = socket_tables.format_hex_address(server.getsockname()).encode()
@@ -283,19 +275,17 @@ def test_the_tables_of_the_machine_are_read_when_no_descriptor_is_left() -> None
 
 
 @pytest.mark.parametrize(("files", "limit"), [(10_000, 20), (24, 12)])
-def test_half_open_connections_of_all_sources_are_bounded(
-    files: int, limit: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_half_open_connections_of_all_sources_are_bounded(files, limit, monkeypatch):
     """Each of them has fewer than are blocked."""
 
     class Connection(socket_tables.Connection):
-        def shut_down(self) -> None:
+        def shut_down(self):
             self.shut = True
 
     monkeypatch.setattr(connection_guard, "HALF_OPEN_MAX", 20)
     monkeypatch.setattr(resource, "getrlimit", lambda _: (files, files))
     guard = ConnectionGuard.__new__(ConnectionGuard)
-    noted: list[str] = []
+    noted = []
     guard._burst, guard._note = 16, noted.append
     guard._names, guard._blocks, guard._shut_s, guard._trim_s = {}, {}, 0.0, 0.0
     guard._listening = {("", 0): Connection(-1, 0, ("", 0), ("", 0), 0.0)}
@@ -310,9 +300,7 @@ def test_half_open_connections_of_all_sources_are_bounded(
     assert noted == [f"more than {limit} connections without a certificate at a time"]
 
 
-def test_who_cannot_stop_and_sends_too_much_gets_no_new_connection(
-    config: LinkConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_who_cannot_stop_and_sends_too_much_gets_no_new_connection(config, monkeypatch):
     """A peer that was cut off declares all again when it connects again."""
     monkeypatch.setattr(connection_guard, "NAME_BLOCK_S", 1000.0)
     with Link(config, "test", Role.SLAVE) as slave:
@@ -326,7 +314,7 @@ def test_who_cannot_stop_and_sends_too_much_gets_no_new_connection(
                 wait_until(lambda: bool(one.info.peers_zid()))
                 names, kept = itertools.count(), []
 
-                def is_cut_off() -> bool:
+                def is_cut_off():
                     key = f"teleop/test/{next(names)}{'x' * 1000}"
                     kept.append(one.declare_subscriber(key, zenoh.handlers.RingChannel(1)))
                     return any(refusal in line for line in slave.refusals.take())
@@ -346,13 +334,11 @@ def test_who_cannot_stop_and_sends_too_much_gets_no_new_connection(
         ((), CertificateRole.VIEWER, False),
     ],
 )
-def test_a_watch_may_go_on_for_good_and_who_cannot_stop_may_not(
-    rights: tuple[str, ...], role: CertificateRole, passes: bool
-) -> None:
+def test_a_watch_may_go_on_for_good_and_who_cannot_stop_may_not(rights, role, passes):
     """An hour of what `teleop stop --watch` sends: 20 times a second 400 bytes."""
 
     class Connection(socket_tables.Connection):
-        def read_received(self) -> int:
+        def read_received(self):
             return round(8000.0 * self.charged_s)
 
     guard = ConnectionGuard.__new__(ConnectionGuard)
@@ -366,7 +352,7 @@ def test_a_watch_may_go_on_for_good_and_who_cannot_stop_may_not(
     assert bool(guard._barred) is not passes
 
 
-def test_subscribers_are_let_in_of_topics_only(config: LinkConfig) -> None:
+def test_subscribers_are_let_in_of_topics_only(config):
     with Link(config, "test", Role.SLAVE) as slave:
         tls = create_local_credentials("test", CertificateRole.VIEWER).build_tls_settings()
         of_topic, of_other = (
@@ -379,9 +365,7 @@ def test_subscribers_are_let_in_of_topics_only(config: LinkConfig) -> None:
             assert not of_other.matching_status.matching
 
 
-def test_one_certificate_has_a_bounded_number_of_connections(
-    config: LinkConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_certificate_has_a_bounded_number_of_connections(config, monkeypatch):
     monkeypatch.setattr(connection_guard, "CONNECTIONS_PER_NAME_MAX", 2)
     with Link(config, "test", Role.SLAVE) as slave, ExitStack() as stack:
         credentials = create_local_credentials("test", CertificateRole.VIEWER)

@@ -1,9 +1,6 @@
 """Why an endpoint is not connected to, in words."""
 
 import socket
-from pathlib import Path
-
-import pytest
 
 from teleop.link import Link, LinkConfig, network
 from teleop.link.network import find_connection_fault
@@ -16,11 +13,11 @@ from tests.teleop.link.bench import await_refusals
 from tests.teleop.link.test_played_back import recorded
 
 
-def insecure(config: LinkConfig) -> LinkConfig:
+def insecure(config):
     return LinkConfig(master=config.master, slave=config.slave, insecure=True)
 
 
-def test_what_is_wrong_with_an_endpoint_is_named(config: LinkConfig, tmp_path: Path) -> None:
+def test_what_is_wrong_with_an_endpoint_is_named(config, tmp_path):
     theirs = stored.load(make_keys(tmp_path, "test"), "test", CertificateRole.MASTER)
     with Link(config, "test", Role.SLAVE) as slave:
         ours = slave.credentials
@@ -40,8 +37,8 @@ def test_what_is_wrong_with_an_endpoint_is_named(config: LinkConfig, tmp_path: P
 
 
 def test_neither_a_secure_nor_an_insecure_side_accepts_the_other_and_both_say_so(
-    config: LinkConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    config, monkeypatch
+):
     monkeypatch.setattr(network, "PROBE_PERIOD_S", 0.1)
     for slaves, masters, text in (
         (config, insecure(config), "it is secure, and this side is not (link.insecure)"),
@@ -56,7 +53,7 @@ def test_neither_a_secure_nor_an_insecure_side_accepts_the_other_and_both_say_so
             assert not master.is_present(Role.SLAVE)
 
 
-def test_a_token_of_a_secure_process_is_refused_by_an_insecure_one(config: LinkConfig) -> None:
+def test_a_token_of_a_secure_process_is_refused_by_an_insecure_one(config):
     """As through a plaintext router, which a secure process would not connect to."""
     config = insecure(config)
     with Link(config, "test", Role.SLAVE) as slave, Rogue([config.slave], "test", None) as rogue:

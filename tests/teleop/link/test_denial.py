@@ -7,8 +7,6 @@ come from different senders. All must be counted and dropped.
 import gc
 import random
 import tracemalloc
-from collections.abc import Callable, Iterator
-from typing import Any
 
 import pytest
 
@@ -16,7 +14,7 @@ from teleop.link.listener import VERIFY_BURST, Listener
 from teleop.link.rate_limit import REFUSAL_KINDS_MAX, RateLimit, RefusalCounter
 from teleop.link.reception import LatestMessage
 from teleop.messages.messages import Command, EmergencyStop
-from teleop.messages.topics import COMMAND, STOP, Role, Topic
+from teleop.messages.topics import COMMAND, STOP, Role
 from teleop.runtime.clock import now_ns
 from teleop.security import CertificateRole, Identity
 from teleop.security.handshake import PairKeys, Peer
@@ -28,7 +26,7 @@ MASTER = Peer(Role.MASTER, 1, Identity(CertificateRole.MASTER, "test"), bytes(32
 KEYS = PairKeys(bytes(32), b"\1" * 32)
 
 
-def ring() -> Keyring:
+def ring():
     keyring = Keyring(Role.SLAVE, 2)
     keyring.add(MASTER, KEYS)
     return keyring
@@ -43,42 +41,42 @@ class Door:
         Messages that were let in, which must be the genuine ones only.
     """
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.keyring = ring()
         senders = self.keyring.find_keys(COMMAND)
         self._latest = LatestMessage(
             COMMAND, lambda _: 1, senders=senders, addressee=self.keyring.addressee
         )
         self._listener = Listener(lambda *_: 1, self.keyring)
-        self._store: Callable[[Any], None] = self._listener.store(STOP)
+        self._store = self._listener.store(STOP)
         self.accepted = 0
 
-    def tagged(self, topic: Topic[Any], data: bytes) -> bytes:
+    def tagged(self, topic, data):
         """Return a message of the master with its tag."""
         senders = self.keyring.find_keys(topic) or {}
         mac = senders[MASTER.nonce].copy()
         mac.update(data)
         return data + self.keyring.addressee + mac.digest()
 
-    def command(self, frame: bytes) -> None:
+    def command(self, frame):
         """Receive a command with its tags."""
         self._latest.take([(frame, now_ns())])
         self.accepted += self._latest.new
 
-    def stop(self, frame: bytes) -> None:
+    def stop(self, frame):
         """Receive an emergency stop with its tags."""
         size = EmergencyStop.schema.size
         self._store(Sample(frame[:size], frame[size:]))
         self.accepted += len(self._listener.drain())
 
     @property
-    def dropped(self) -> int:
+    def dropped(self):
         """Number of messages that were counted and not let in."""
         counts = self._latest.counts
         return counts.rejected + counts.unknown + self._listener.count_refused(STOP)
 
 
-def mutated(frame: bytes, chance: random.Random) -> Iterator[bytes]:
+def mutated(frame, chance):
     """Yield frames that differ from `frame` in 1 to 4 bytes, every second one cut off too."""
     while True:
         new = bytearray(frame)
@@ -89,9 +87,7 @@ def mutated(frame: bytes, chance: random.Random) -> Iterator[bytes]:
             yield bytes(new)
 
 
-def of_random_senders(
-    message: Command | EmergencyStop, chance: random.Random, senders: int
-) -> Iterator[bytes]:
+def of_random_senders(message, chance, senders):
     """Yield messages of different senders, with a checksum that is right, and a tag that is not."""
     names = [chance.getrandbits(64) for _ in range(senders)]
     while True:
@@ -99,7 +95,7 @@ def of_random_senders(
             yield message.pack(name, 1, now_ns()) + bytes(ENTRY_BYTES)
 
 
-def flood(door: Door, count: int, frames: dict[str, Iterator[bytes]]) -> None:
+def flood(door, count, frames):
     """Send so many frames of each kind."""
     for topic, source in frames.items():
         receive = getattr(door, topic)
@@ -107,7 +103,7 @@ def flood(door: Door, count: int, frames: dict[str, Iterator[bytes]]) -> None:
             receive(next(source))
 
 
-def floods(door: Door, senders: int) -> dict[str, dict[str, Iterator[bytes]]]:
+def floods(door, senders):
     """Return the kinds of floods, by topic."""
     chance = random.Random(2)  # noqa: S311
     command = door.tagged(COMMAND, Command(state=1).pack(MASTER.nonce, 1, now_ns()))
@@ -123,14 +119,14 @@ def floods(door: Door, senders: int) -> dict[str, dict[str, Iterator[bytes]]]:
     }
 
 
-def still_opens(door: Door) -> bool:
+def still_opens(door):
     """Return whether a genuine command is let in after all that."""
     before = door.accepted
     door.command(door.tagged(COMMAND, Command(state=2).pack(MASTER.nonce, 2, now_ns())))
     return door.accepted == before + 1
 
 
-def growth_of(flood) -> int:
+def growth_of(flood):
     """Memory [B] that is still there after a flood."""
     flood(1000)  # caches
     gc.collect()
@@ -146,7 +142,7 @@ def growth_of(flood) -> int:
 
 @pytest.mark.parametrize("kind", ["mutated", "random senders"])
 @pytest.mark.parametrize("count", [5_000, pytest.param(500_000, marks=pytest.mark.slow)])
-def test_floods_are_counted_and_dropped_and_cost_no_memory(kind: str, count: int) -> None:
+def test_floods_are_counted_and_dropped_and_cost_no_memory(kind, count):
     """Of each of two topics so many frames."""
     door = Door()
     frames = floods(door, min(count, 100_000))[kind]
@@ -156,10 +152,10 @@ def test_floods_are_counted_and_dropped_and_cost_no_memory(kind: str, count: int
     assert still_opens(door)
 
 
-def test_a_flood_is_looked_at_no_more_than_the_limit_allows() -> None:
+def test_a_flood_is_looked_at_no_more_than_the_limit_allows():
     keyring = ring()
     listener, looked = Listener(lambda *_: 1, keyring), []
-    keyring.verify = lambda *_: looked.append(1) or TagVerdict.UNKNOWN  # type: ignore[method-assign]
+    keyring.verify = lambda *_: looked.append(1) or TagVerdict.UNKNOWN
     store = listener.store(STOP)
     data = EmergencyStop().pack(1, 1, 1)
     begin = now_ns()
@@ -170,7 +166,7 @@ def test_a_flood_is_looked_at_no_more_than_the_limit_allows() -> None:
     assert listener.count_refused(STOP) == 5 * VERIFY_BURST
 
 
-def test_a_rate_limit_refills_with_time() -> None:
+def test_a_rate_limit_refills_with_time():
     now = [0]
     limit = RateLimit(2, 10.0, lambda: now[0])
     assert [limit() for _ in range(3)] == [True, True, False]
@@ -182,7 +178,7 @@ def test_a_rate_limit_refills_with_time() -> None:
     assert not limit()
 
 
-def test_kinds_of_refusals_are_bounded() -> None:
+def test_kinds_of_refusals_are_bounded():
     refusals = RefusalCounter()
     for n in range(1000):
         refusals.note(f"{n}")

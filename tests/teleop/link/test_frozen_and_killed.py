@@ -5,10 +5,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
 
-from teleop.link import Link, LinkConfig
+from teleop.link import Link
 from teleop.link.network import LEASE_MS
 from teleop.messages.messages import Event, SlaveState, TendonState
 from teleop.messages.topics import COMMAND, EVENT, STATE, TENDONS, Role
@@ -46,11 +45,10 @@ with Link(LinkConfig(master=sys.argv[1], slave=sys.argv[2]), "test", Role.VIEWER
 
 
 @contextmanager
-def other_process(config: LinkConfig, code: str = PEER) -> Iterator[subprocess.Popen[bytes]]:
+def other_process(config, code=PEER):
     """A master, or other code, in a process of its own."""
     process = subprocess.Popen(
-        [sys.executable, "-c", code, config.master, config.slave, str(os.getpid())],
-        cwd=ROOT,
+        [sys.executable, "-c", code, config.master, config.slave, str(os.getpid())], cwd=ROOT
     )
     try:
         yield process
@@ -60,7 +58,7 @@ def other_process(config: LinkConfig, code: str = PEER) -> Iterator[subprocess.P
         process.wait()
 
 
-def test_a_killed_peer_is_gone_and_its_successor_welcome(config: LinkConfig) -> None:
+def test_a_killed_peer_is_gone_and_its_successor_welcome(config):
     with Link(config, "test", Role.SLAVE) as slave:
         slave.subscribe_latest(COMMAND)
         with other_process(config) as first:
@@ -72,7 +70,7 @@ def test_a_killed_peer_is_gone_and_its_successor_welcome(config: LinkConfig) -> 
             wait_until(lambda: slave.is_present(Role.MASTER))
 
 
-def test_a_frozen_peer_grows_old_and_is_fresh_again_when_it_thaws(config: LinkConfig) -> None:
+def test_a_frozen_peer_grows_old_and_is_fresh_again_when_it_thaws(config):
     with Link(config, "test", Role.SLAVE) as slave:
         slave.subscribe_latest(COMMAND)
         with other_process(config) as master:
@@ -84,7 +82,7 @@ def test_a_frozen_peer_grows_old_and_is_fresh_again_when_it_thaws(config: LinkCo
             wait_until(lambda: slave.take_latest(COMMAND).is_fresh(now_ns(), 20 * MS))
 
 
-def test_publishing_to_a_frozen_peer_goes_on(config: LinkConfig) -> None:
+def test_publishing_to_a_frozen_peer_goes_on(config):
     with Link(config, "test", Role.SLAVE) as slave, other_process(config) as master:
         wait_until(lambda: slave.take_latest(COMMAND).counts.received > 0)
         time.sleep(0.1)  # for its subscriptions to be known here
@@ -98,7 +96,7 @@ def test_publishing_to_a_frozen_peer_goes_on(config: LinkConfig) -> None:
         assert longest < 1.0  # one that waits for room does so for 5 s
 
 
-def test_a_viewer_that_stops_reading_does_not_delay_commands(config: LinkConfig) -> None:
+def test_a_viewer_that_stops_reading_does_not_delay_commands(config):
     """Bytes are left to send when its connection, silent for a lease, is closed."""
     with Link(config, "test", Role.SLAVE) as slave, other_process(config):
         latest = slave.subscribe_latest(COMMAND)

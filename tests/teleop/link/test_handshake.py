@@ -17,18 +17,16 @@ TOKEN = Token(Role.MASTER, LAYOUT, 7, RoleStage.HELD)
 NOW = datetime.now(UTC)
 
 
-def of(
-    authority: Authority, identity: Identity, days: float = 1.0, start: datetime | None = None
-) -> Credentials:
+def of(authority, identity, days=1.0, start=None):
     certificate, key = authority.issue(identity, days, start)
     return Credentials(identity, certificate, key, authority.certificate, authority.revoked)
 
 
-def token_of(credentials: Credentials) -> Token:
+def token_of(credentials):
     return Handshake(credentials, "test", TOKEN.nonce).prove(TOKEN)
 
 
-def test_each_wrong_certificate_is_refused_in_words_and_the_right_one_is_not() -> None:
+def test_each_wrong_certificate_is_refused_in_words_and_the_right_one_is_not():
     authority = Authority.create("ours", 2)
     revoked = of(authority, MASTER)
     authority = authority.revoke(revoked.certificate.serial_number)
@@ -59,7 +57,7 @@ def test_each_wrong_certificate_is_refused_in_words_and_the_right_one_is_not() -
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_no_mutated_certificate_is_believed(seed: int) -> None:
+def test_no_mutated_certificate_is_believed(seed):
     """Each byte in turn, under a signature by the right key over what is shown."""
     authority, chance = Authority.create("ours", 2), random.Random(seed)  # noqa: S311
     slave, master = Handshake(of(authority, SLAVE), "test", 1), of(authority, MASTER)

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from teleop.link.reception import Inbox
 
 
-def sample(number: int):
+def sample(number):
     data = number.to_bytes(4, "little")
     return SimpleNamespace(payload=SimpleNamespace(to_bytes=lambda: data))
 
 
-def numbers(arrived) -> list[int]:
+def numbers(arrived):
     return [int.from_bytes(data, "little") for data, _ in arrived]
 
 

@@ -13,7 +13,7 @@ from teleop.link import network
 ON = struct.pack("ii", 1, 10)
 
 
-def lingers(connection: socket.socket) -> bool:
+def lingers(connection):
     return struct.unpack("ii", connection.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8))[0] > 0
 
 

@@ -1,11 +1,8 @@
 """Queues of raw messages and what listens through them: bounded, in order, counted exactly."""
 
-import random
 import threading
 import tracemalloc
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 from unittest.mock import patch
 
 from hypothesis import given
@@ -14,14 +11,14 @@ from hypothesis import strategies as st
 from teleop.link import MessageCounts, listener
 from teleop.link.listener import BACKLOG_S, CAPACITY_MIN, Listener, MessageQueue, compute_capacity
 from teleop.messages.messages import EmergencyStop
-from teleop.messages.topics import COMMAND, EVENT, LEDGER, STATE, STOP, TOPICS, Topic
+from teleop.messages.topics import COMMAND, EVENT, LEDGER, STATE, STOP, TOPICS
 from tests.teleop.link.bench import packed
 from tests.tick.memory_link import Sample
 
 
-def hear(listener: Listener, topic: Topic[Any]) -> Callable[[bytes], None]:
+def hear(listener, topic):
     """Return what gives the listener the bytes of a message of `topic`."""
-    store: Any = listener.store(topic)
+    store = listener.store(topic)
     return lambda data: store(Sample(data))
 
 
@@ -33,16 +30,14 @@ def hear(listener: Listener, topic: Topic[Any]) -> Callable[[bytes], None]:
     st.integers(1, 8),
     st.lists(st.sampled_from(["command", "state", "take"]), max_size=80),
 )
-def test_what_is_put_is_taken_in_order_or_counted_as_dropped(
-    commands: int, states: int, steps: list[str]
-) -> None:
+def test_what_is_put_is_taken_in_order_or_counted_as_dropped(commands, states, steps):
     """Against a plain list per topic of which the newest are kept."""
     capacity = {"command": commands, "state": states}
     topics = {"command": COMMAND, "state": STATE}
     queue = MessageQueue()
     for name, topic in topics.items():
         queue.add(topic, capacity[name])
-    model: dict[str, list[bytes]] = {name: [] for name in topics}
+    model = {name: [] for name in topics}
     put = dict.fromkeys(topics, 0)
     taken = dict.fromkeys(topics, 0)
     for k, step in enumerate([*steps, "take"]):
@@ -62,12 +57,12 @@ def test_what_is_put_is_taken_in_order_or_counted_as_dropped(
             model[name] = []
 
 
-def test_counts_are_exact_with_several_threads_putting_while_one_takes() -> None:
+def test_counts_are_exact_with_several_threads_putting_while_one_takes():
     queue, count, threads = MessageQueue(), 5000, 4
     queue.add(COMMAND, 50)
     queue.add(EVENT, 20)
 
-    def fill(topic: Topic[Any]) -> None:
+    def fill(topic):
         for k in range(count):
             queue.put(topic, b"", k)
 
@@ -84,12 +79,12 @@ def test_counts_are_exact_with_several_threads_putting_while_one_takes() -> None
         assert taken[topic.name] + queue.count_dropped(topic) == count * threads // 2
 
 
-def test_every_topic_has_room_for_a_slow_reader() -> None:
+def test_every_topic_has_room_for_a_slow_reader():
     for topic in TOPICS:
         assert compute_capacity(topic) >= max(BACKLOG_S * topic.rate_hz, CAPACITY_MIN), topic
 
 
-def test_a_flood_on_one_topic_displaces_nothing_of_another() -> None:
+def test_a_flood_on_one_topic_displaces_nothing_of_another():
     queue = MessageQueue()
     queue.add(STOP)
     queue.add(EVENT)
@@ -101,7 +96,7 @@ def test_a_flood_on_one_topic_displaces_nothing_of_another() -> None:
     assert len(arrivals) == 1 + compute_capacity(EVENT)
 
 
-def test_memory_is_bounded_by_messages_of_the_size_of_the_topic_whatever_is_sent() -> None:
+def test_memory_is_bounded_by_messages_of_the_size_of_the_topic_whatever_is_sent():
     listener = Listener(lambda *_: True)
     store = hear(listener, STOP)
     tracemalloc.start()
@@ -119,7 +114,7 @@ def test_memory_is_bounded_by_messages_of_the_size_of_the_topic_whatever_is_sent
 # --- the listener ---------------------------------------------------------------------------------
 
 
-def test_a_listener_that_falls_behind_keeps_the_newest_and_counts_the_others() -> None:
+def test_a_listener_that_falls_behind_keeps_the_newest_and_counts_the_others():
     topic = replace(COMMAND, rate_hz=0)  # 256 messages
     listener = Listener(lambda *_: True)
     store = hear(listener, topic)
@@ -142,9 +137,7 @@ def test_a_listener_that_falls_behind_keeps_the_newest_and_counts_the_others() -
 
 @patch.object(listener, "CAPACITY_MIN", 8)
 @given(st.lists(st.integers(0, 20), max_size=10), st.randoms(use_true_random=False))
-def test_every_message_stored_is_heard_rejected_or_dropped(
-    bursts: list[int], chance: random.Random
-) -> None:
+def test_every_message_stored_is_heard_rejected_or_dropped(bursts, chance):
     topic = replace(LEDGER, rate_hz=0)
     listener = Listener(lambda *_: True)
     store = hear(listener, topic)
@@ -163,11 +156,11 @@ def test_every_message_stored_is_heard_rejected_or_dropped(
     assert stored == counts.received + counts.rejected + listener.count_dropped(topic)
 
 
-def test_senders_without_end_take_no_memory_and_are_all_counted() -> None:
+def test_senders_without_end_take_no_memory_and_are_all_counted():
     listener = Listener(lambda *_: True)
     store, message = hear(listener, STOP), EmergencyStop()
 
-    def flood(senders: range) -> int:
+    def flood(senders):
         for sender in senders:
             store(message.pack(sender, 1, 0))
             if sender % 100 == 0:
@@ -181,7 +174,7 @@ def test_senders_without_end_take_no_memory_and_are_all_counted() -> None:
     assert listener.count_messages(STOP) == MessageCounts(received=6000)
 
 
-def test_a_sender_that_goes_on_is_not_forgotten_for_a_flood_of_others() -> None:
+def test_a_sender_that_goes_on_is_not_forgotten_for_a_flood_of_others():
     listener = Listener(lambda *_: True)
     store, message = hear(listener, STOP), EmergencyStop()
     for k in range(1, 1000):

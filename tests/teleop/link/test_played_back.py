@@ -8,7 +8,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from teleop.link import Link, LinkConfig
+from teleop.link import Link
 from teleop.link import roster as roster_module
 from teleop.link.admission import CHALLENGE_BYTES, build_challenge_key
 from teleop.link.network import open_session
@@ -27,19 +27,19 @@ SILENT = "that does not answer: it hangs, or somebody plays its token back"
 
 
 @pytest.fixture
-def short_patience(monkeypatch: pytest.MonkeyPatch) -> None:
+def short_patience(monkeypatch):
     monkeypatch.setattr(roster_module, "CHALLENGE_PERIOD_NS", 200_000_000)
     monkeypatch.setattr(roster_module, "SILENCE_WARNING_NS", 300_000_000)
 
 
-def recorded(role: Role, nonce: int, relayed: bool = False) -> str:
+def recorded(role, nonce, relayed=False):
     """The genuine token of a process of an earlier run."""
     handshake = Handshake(create_local_credentials("test", CERTIFICATE_ROLES[role]), "test", nonce)
     token = handshake.prove(Token(role, LAYOUT, nonce, RoleStage.HELD))
     return token.to_key("test").replace("/@/", "/@/relay/") if relayed else token.to_key("test")
 
 
-def rogue_of(config: LinkConfig, count: int) -> Rogue:
+def rogue_of(config, count):
     rogue = Rogue(
         [config.slave, config.master],
         "test",
@@ -50,11 +50,8 @@ def rogue_of(config: LinkConfig, count: int) -> Rogue:
 
 
 @pytest.mark.usefixtures("short_patience")
-def test_recorded_tokens_evict_and_displace_nobody(config: LinkConfig) -> None:
-    with (
-        session(config, Role.SLAVE, Role.MASTER) as (slave, master),
-        rogue_of(config, 2) as rogue,
-    ):
+def test_recorded_tokens_evict_and_displace_nobody(config):
+    with session(config, Role.SLAVE, Role.MASTER) as (slave, master), rogue_of(config, 2) as rogue:
         pump(master, slave)
         for n in range(1, ADDRESSEES + 2):  # more than a message has tags
             for role in (Role.MASTER, Role.SLAVE, Role.REMOTE):
@@ -70,7 +67,7 @@ def test_recorded_tokens_evict_and_displace_nobody(config: LinkConfig) -> None:
 
 
 @pytest.mark.usefixtures("short_patience")
-def test_recorded_tokens_keep_nobody_out(config: LinkConfig) -> None:
+def test_recorded_tokens_keep_nobody_out(config):
     """They stand before the pair comes, older and newer ones, more than are kept."""
     with Link(config, "test", Role.SLAVE) as slave, rogue_of(config, 1) as rogue:
         for n in range(1, GROUP_TOKENS_MAX + 17):
@@ -84,7 +81,7 @@ def test_recorded_tokens_keep_nobody_out(config: LinkConfig) -> None:
 
 
 @pytest.mark.usefixtures("short_patience")
-def test_a_copy_of_a_living_token_outlives_its_process_by_seconds_only(config: LinkConfig) -> None:
+def test_a_copy_of_a_living_token_outlives_its_process_by_seconds_only(config):
     """Zenoh does not say that a process is gone while somebody else announces the same token."""
     with Link(config, "test", Role.SLAVE) as slave, ExitStack() as ends:
         master = Link(config, "test", Role.MASTER)
@@ -102,15 +99,15 @@ def test_a_copy_of_a_living_token_outlives_its_process_by_seconds_only(config: L
         assert not slave.is_present(Role.MASTER, master.nonce)
 
 
-def rogue_tokens(rogue: Rogue, master: Link) -> list[str]:
-    def of_master() -> list[str]:
+def rogue_tokens(rogue, master):
+    def of_master():
         return [key for key in rogue.tokens if f"{master.nonce:016x}/held" in key]
 
     wait_until(lambda: bool(of_master()))
     return list(dict.fromkeys(of_master()))
 
 
-def test_a_challenge_is_answered_to_genuine_askers_only(config: LinkConfig) -> None:
+def test_a_challenge_is_answered_to_genuine_askers_only(config):
     credentials = create_local_credentials("test", CertificateRole.ROUTER)
     with (
         Link(config, "test", Role.SLAVE) as slave,
@@ -119,9 +116,7 @@ def test_a_challenge_is_answered_to_genuine_askers_only(config: LinkConfig) -> N
         genuine = recorded(Role.MASTER, 5)
         challenge = bytes(CHALLENGE_BYTES)
 
-        def answers(
-            role: str, token: str, subject: int = slave.nonce, timeout: float = 0.2
-        ) -> list[bytes]:
+        def answers(role, token, subject=slave.nonce, timeout=0.2):
             payload = challenge + subject.to_bytes(8, "little") + token.encode()
             key = build_challenge_key("test", role, slave.nonce)
             replies = list(asking.get(key, payload=payload, timeout=timeout))

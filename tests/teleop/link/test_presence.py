@@ -20,12 +20,12 @@ TOKENS = st.builds(
 
 
 @given(TOKENS)
-def test_a_token_survives_its_key(token: Token) -> None:
+def test_a_token_survives_its_key(token):
     assert Token.from_key(token.to_key("demo")) == token
 
 
 @given(st.text())
-def test_a_foreign_key_is_no_token(text: str) -> None:
+def test_a_foreign_key_is_no_token(text):
     assert Token.from_key(f"teleop/x/@/{text}") is None or text.count("/") >= 3
 
 
@@ -44,14 +44,14 @@ def test_a_foreign_key_is_no_token(text: str) -> None:
         "other/x/@/master/00000001/0123456789abcdef/held",
     ],
 )
-def test_a_token_has_one_key(key: str) -> None:
+def test_a_token_has_one_key(key):
     genuine = "teleop/x/@/master/00000001/0123456789abcdef/held"
     assert Token.from_key(genuine) is not None
     assert Token.from_key(key) is None
 
 
 @given(TOKENS, TOKENS)
-def test_of_two_that_cannot_both_be_there_exactly_one_leaves(one: Token, two: Token) -> None:
+def test_of_two_that_cannot_both_be_there_exactly_one_leaves(one, two):
     both = one.role in EXCLUSIVE_ROLES and two.role in EXCLUSIVE_ROLES and one.nonce != two.nonce
     clash = both and (one.role == two.role or one.layout != two.layout)
     leaves = [find_conflict(one, [two]) is not None, find_conflict(two, [one]) is not None]
@@ -63,16 +63,14 @@ def test_of_two_that_cannot_both_be_there_exactly_one_leaves(one: Token, two: To
 
 
 @given(TOKENS, TOKENS)
-def test_listeners_make_nobody_leave_and_leave_only_for_another_layout(
-    one: Token, two: Token
-) -> None:
+def test_listeners_make_nobody_leave_and_leave_only_for_another_layout(one, two):
     if two.role not in EXCLUSIVE_ROLES:
         assert find_conflict(one, [two]) is None
     if one.role not in EXCLUSIVE_ROLES and two.role in EXCLUSIVE_ROLES and one.nonce != two.nonce:
         assert (find_conflict(one, [two]) is not None) == (one.layout != two.layout)
 
 
-def test_nonces_differ_and_grow() -> None:
+def test_nonces_differ_and_grow():
     drawn = []
     for _ in range(200):
         drawn.append(create_nonce())

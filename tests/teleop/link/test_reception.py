@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.link import NEVER_NS, LatestMessage, MessageCounts
+from teleop.link import NEVER_NS, LatestMessage
 from teleop.link.reception import DRIFT, Reception
 from teleop.messages.messages import Command
 from teleop.messages.topics import COMMAND
@@ -18,14 +18,12 @@ def take(latest, data, now_ns):
     latest.take([(item, now_ns) for item in data])
 
 
-def total(counts: MessageCounts) -> int:
+def total(counts):
     return counts.received + counts.rejected
 
 
 @given(st.lists(st.integers(1, 40), max_size=60), st.randoms(use_true_random=False))
-def test_every_arrival_is_counted_once_and_what_is_let_in_only_ever_gets_newer(
-    sequences: list[int], chance: random.Random
-) -> None:
+def test_every_arrival_is_counted_once_and_what_is_let_in_only_ever_gets_newer(sequences, chance):
     reception = Reception(COMMAND, visit=lambda nonce: nonce == 7)
     admitted, damaged = [], 0
     for sequence in sequences:
@@ -46,7 +44,7 @@ def test_every_arrival_is_counted_once_and_what_is_let_in_only_ever_gets_newer(
         assert counts.lost == len(missing)
 
 
-def test_a_gap_behind_a_full_channel_is_overwritten_not_lost() -> None:
+def test_a_gap_behind_a_full_channel_is_overwritten_not_lost():
     reception = Reception(COMMAND, visit=lambda _: True)
     reception.admit(packed(1))
     reception.admit(packed(5), overflowed=True)
@@ -54,7 +52,7 @@ def test_a_gap_behind_a_full_channel_is_overwritten_not_lost() -> None:
     assert (reception.counts.overwritten, reception.counts.lost) == (3, 2)
 
 
-def test_no_message_is_older_than_any_limit() -> None:
+def test_no_message_is_older_than_any_limit():
     latest = LatestMessage(COMMAND, visit=lambda _: True)
     assert latest.compute_age_ns(0) == NEVER_NS
     assert not latest.is_fresh(0, 10**18)
@@ -63,14 +61,12 @@ def test_no_message_is_older_than_any_limit() -> None:
 
 
 @pytest.mark.parametrize("offset_ns", [0, -5_000_000_000_000, 123_456_789])
-def test_age_is_time_since_sent_less_the_quickest_way_whatever_the_clocks_say(
-    offset_ns: int,
-) -> None:
+def test_age_is_time_since_sent_less_the_quickest_way_whatever_the_clocks_say(offset_ns):
     """Against a simulated wire on which the true age of every message is known."""
     chance = random.Random(1)  # noqa: S311 - a wire, not a secret
     latest = LatestMessage(COMMAND, visit=lambda _: True)
     quickest = 200_000
-    in_flight: list[tuple[int, int]] = []  # (arrives, sent), on our clock
+    in_flight = []  # (arrives, sent), on our clock
     newest_sent = None
     for tick in range(3000):
         now = tick * MS
@@ -90,7 +86,7 @@ def test_age_is_time_since_sent_less_the_quickest_way_whatever_the_clocks_say(
             assert truth - slack <= age <= truth + slack
 
 
-def test_the_clocks_of_a_restarted_sender_are_learnt_anew() -> None:
+def test_the_clocks_of_a_restarted_sender_are_learnt_anew():
     there = {7}
     latest = LatestMessage(COMMAND, visit=lambda nonce: nonce in there)
     take(latest, [packed(1, sender=7, stamp_ns=10**15)], 0)
@@ -100,7 +96,7 @@ def test_the_clocks_of_a_restarted_sender_are_learnt_anew() -> None:
 
 
 @pytest.mark.parametrize("gain", [0.0005, -0.0005])
-def test_clocks_that_run_at_different_speeds_do_not_make_messages_old(gain: float) -> None:
+def test_clocks_that_run_at_different_speeds_do_not_make_messages_old(gain):
     """The most that NTP slews, for ten minutes: 0.3 s between the clocks in the end."""
     latest = LatestMessage(COMMAND, visit=lambda _: 1)
     for k in range(6_000):
@@ -110,7 +106,7 @@ def test_clocks_that_run_at_different_speeds_do_not_make_messages_old(gain: floa
         assert latest.is_fresh(now, 1 * MS)
 
 
-def test_a_peer_that_slept_is_fresh_again_once_its_token_has_come_back() -> None:
+def test_a_peer_that_slept_is_fresh_again_once_its_token_has_come_back():
     visit = {7: 1}
     latest = LatestMessage(COMMAND, visit=lambda nonce: visit[nonce])
     slept = 10_000 * MS

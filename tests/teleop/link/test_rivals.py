@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from teleop.errors import PeerError
-from teleop.link import Link, LinkConfig
+from teleop.link import Link
 from teleop.link import link as link_module
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import Role
@@ -13,7 +13,7 @@ from tests.teleop.link.bench import free_config, oldest, pump, session, wait_unt
 
 
 @pytest.mark.usefixtures("true_settling")
-def test_a_second_slave_on_the_same_endpoint_is_refused(config: LinkConfig) -> None:
+def test_a_second_slave_on_the_same_endpoint_is_refused(config):
     with (
         Link(config, "test", Role.SLAVE),
         pytest.raises(PeerError, match=r"session 'test' has a slave already"),
@@ -23,9 +23,7 @@ def test_a_second_slave_on_the_same_endpoint_is_refused(config: LinkConfig) -> N
 
 
 @pytest.mark.usefixtures("true_settling")
-def test_a_second_master_from_another_machine_is_refused_and_the_first_stays(
-    config: LinkConfig,
-) -> None:
+def test_a_second_master_from_another_machine_is_refused_and_the_first_stays(config):
     elsewhere = free_config(slave=config.slave)
     with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
         late = oldest(Link(elsewhere, "test", Role.MASTER))
@@ -37,12 +35,12 @@ def test_a_second_master_from_another_machine_is_refused_and_the_first_stays(
 
 
 @pytest.mark.usefixtures("true_settling")
-def test_of_two_masters_started_at_once_one_runs(config: LinkConfig) -> None:
-    opened: list[Link] = []
-    refused: list[PeerError] = []
+def test_of_two_masters_started_at_once_one_runs(config):
+    opened = []
+    refused = []
     barrier = threading.Barrier(2)
 
-    def start(mine: LinkConfig) -> None:
+    def start(mine):
         link = Link(mine, "test", Role.MASTER)
         barrier.wait()
         try:
@@ -62,14 +60,14 @@ def test_of_two_masters_started_at_once_one_runs(config: LinkConfig) -> None:
     assert (len(opened), len(refused)) == (1, 1)
 
 
-def test_two_masters_that_met_only_later_are_told_apart_while_running(config: LinkConfig) -> None:
+def test_two_masters_that_met_only_later_are_told_apart_while_running(config):
     other = free_config(slave=config.slave)
     with Link(config, "test", Role.MASTER) as older, Link(other, "test", Role.MASTER) as younger:
         for link in (older, younger):
             link.check_peers()
         with Link(config, "test", Role.SLAVE):
 
-            def younger_is_refused() -> bool:
+            def younger_is_refused():
                 try:
                     younger.check_peers()
                 except PeerError:
@@ -82,9 +80,7 @@ def test_two_masters_that_met_only_later_are_told_apart_while_running(config: Li
 
 @pytest.mark.parametrize("role", [Role.MASTER, Role.RECORDER])
 @pytest.mark.usefixtures("true_settling")
-def test_another_message_layout_is_refused_with_both_numbers(
-    config: LinkConfig, monkeypatch: pytest.MonkeyPatch, role: Role
-) -> None:
+def test_another_message_layout_is_refused_with_both_numbers(config, monkeypatch, role):
     with Link(config, "test", Role.SLAVE) as slave:
         monkeypatch.setattr(link_module, "LAYOUT", 0xABCDEF01)
         with (

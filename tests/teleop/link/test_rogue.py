@@ -6,11 +6,10 @@ it here is the handshake and the tags. With a viewer's certificate nothing of it
 
 import struct
 import time
-from collections.abc import Iterator
 
 import pytest
 
-from teleop.link import Link, LinkConfig
+from teleop.link import Link
 from teleop.messages.messages import LAYOUT, Command, EmergencyStop, Setting, SlaveState
 from teleop.messages.topics import COMMAND, SETTING, STATE, STOP, Role
 from teleop.remote.request_listener import RESET, RequestListener
@@ -24,14 +23,14 @@ ENGAGE = ((STATE_AT, struct.pack("<I", ENGAGED)), (POSITION_AT, FAR))
 
 
 @pytest.fixture
-def pair(config: LinkConfig) -> Iterator[tuple[Link, Link]]:
+def pair(config):
     with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
         master.subscribe_latest(STATE)
         slave.subscribe_latest(COMMAND)
         yield slave, master
 
 
-def rogue_of(config: LinkConfig, role: CertificateRole, count: int = 2) -> Rogue:
+def rogue_of(config, role, count=2):
     tls = create_local_credentials("test", role).build_tls_settings()
     rogue = Rogue([config.slave, config.master], "test", tls)
     for topic in ("command", "state"):
@@ -41,10 +40,10 @@ def rogue_of(config: LinkConfig, role: CertificateRole, count: int = 2) -> Rogue
     return rogue
 
 
-def capture(rogue: Rogue, master: Link, slave: Link) -> None:
+def capture(rogue, master, slave):
     """Let the rogue hear a command and a state."""
 
-    def heard() -> bool:
+    def heard():
         master.publish(COMMAND, Command(state=1))
         slave.publish(STATE, SlaveState(state=1))
         time.sleep(0.01)
@@ -54,7 +53,7 @@ def capture(rogue: Rogue, master: Link, slave: Link) -> None:
     pump(master, slave)
 
 
-def goes_on(slave: Link, master: Link) -> None:
+def goes_on(slave, master):
     for link in (slave, master):
         link.check_peers()
     pump(master, slave, 3)
@@ -62,9 +61,7 @@ def goes_on(slave: Link, master: Link) -> None:
     assert slave.take_latest(COMMAND).message.state == 1
 
 
-def test_forged_and_played_back_messages_move_nothing(
-    pair: tuple[Link, Link], config: LinkConfig
-) -> None:
+def test_forged_and_played_back_messages_move_nothing(pair, config):
     slave, master = pair
     with rogue_of(config, CertificateRole.ROUTER) as rogue:
         capture(rogue, master, slave)
@@ -76,7 +73,7 @@ def test_forged_and_played_back_messages_move_nothing(
             rogue.put("command", command, tags)  # as it was heard
             rogue.put("state", forged("SlaveState", state, 10**9 + n, ENGAGE[0]), tags)
 
-            def refused(count: int = n + 1) -> bool:  # read at once: an inbox keeps 16 messages
+            def refused(count=n + 1):  # read at once: an inbox keeps 16 messages
                 at_slave, at_master = (
                     slave.take_latest(COMMAND).counts,
                     master.take_latest(STATE).counts,
@@ -90,7 +87,7 @@ def test_forged_and_played_back_messages_move_nothing(
     assert slave.take_latest(COMMAND).counts.restarts == 0
 
 
-def test_commands_of_an_earlier_run_mean_nothing_to_a_new_slave(config: LinkConfig) -> None:
+def test_commands_of_an_earlier_run_mean_nothing_to_a_new_slave(config):
     with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
         slave.subscribe_latest(COMMAND)
         with rogue_of(config, CertificateRole.ROUTER) as rogue:
@@ -105,7 +102,7 @@ def test_commands_of_an_earlier_run_mean_nothing_to_a_new_slave(config: LinkConf
             for _ in range(5):
                 rogue.put("command", command, tags)
 
-            def counted() -> bool:
+            def counted():
                 counts = slave.take_latest(COMMAND).counts
                 return counts.forged + counts.unknown == 5
 
@@ -114,9 +111,7 @@ def test_commands_of_an_earlier_run_mean_nothing_to_a_new_slave(config: LinkConf
             pump(master, slave, 3)
 
 
-def test_forged_tokens_are_refused_in_words_and_evict_nobody(
-    pair: tuple[Link, Link], config: LinkConfig
-) -> None:
+def test_forged_tokens_are_refused_in_words_and_evict_nobody(pair, config):
     slave, master = pair
     with rogue_of(config, CertificateRole.ROUTER) as rogue:
         wait_until(lambda: any("/@/master/" in key for key in rogue.tokens))
@@ -126,9 +121,9 @@ def test_forged_tokens_are_refused_in_words_and_evict_nobody(
             rogue.announce(role, LAYOUT, 2, proof="AAAA")
             rogue.announce(role, LAYOUT, 3, proof=proof)  # another process's
         rogue.announce("viewer", LAYOUT, master.nonce)
-        lines: dict[str, list[str]] = {"slave": [], "master": []}
+        lines = {"slave": [], "master": []}
 
-        def told() -> bool:
+        def told():
             lines["slave"] += slave.refusals.take()
             lines["master"] += master.refusals.take()
             return all(
@@ -142,9 +137,7 @@ def test_forged_tokens_are_refused_in_words_and_evict_nobody(
         goes_on(slave, master)
 
 
-def test_stops_resets_and_settings_need_a_supervisor(
-    pair: tuple[Link, Link], config: LinkConfig
-) -> None:
+def test_stops_resets_and_settings_need_a_supervisor(pair, config):
     slave, master = pair
     requests = {link: RequestListener(link) for link in pair}
     time.sleep(0.2)
@@ -154,7 +147,7 @@ def test_stops_resets_and_settings_need_a_supervisor(
                 rogue.stop(LAYOUT, sender, action, side=int(Role.SLAVE))
             rogue.set(LAYOUT, sender, b"force.scale", b"9")
 
-        def refused() -> bool:
+        def refused():
             for listen in requests.values():
                 assert listen.take_requests(0) == ((0, "", False, ()))
             return all(listen.count_refused()["stop"] == 12 for listen in requests.values())
@@ -169,7 +162,7 @@ def test_stops_resets_and_settings_need_a_supervisor(
         wait_until(lambda: requests[slave].take_requests(0).reset)
 
 
-def test_a_viewer_is_heard_by_nobody(pair: tuple[Link, Link], config: LinkConfig) -> None:
+def test_a_viewer_is_heard_by_nobody(pair, config):
     slave, master = pair
     requests = {link: RequestListener(link) for link in pair}
     with rogue_of(config, CertificateRole.VIEWER) as rogue:
@@ -192,14 +185,9 @@ def test_a_viewer_is_heard_by_nobody(pair: tuple[Link, Link], config: LinkConfig
 
 @pytest.mark.parametrize(
     ("role", "group", "kept"),
-    [
-        (CertificateRole.VIEWER, "viewer", 0),
-        (CertificateRole.SUPERVISOR, "remote", 100),
-    ],
+    [(CertificateRole.VIEWER, "viewer", 0), (CertificateRole.SUPERVISOR, "remote", 100)],
 )
-def test_nothing_is_kept_of_a_listener_but_subscribers(
-    role: CertificateRole, group: str, kept: int, config: LinkConfig
-) -> None:
+def test_nothing_is_kept_of_a_listener_but_subscribers(role, group, kept, config):
     """Zenoh removes tokens and queryables at once when a connection ends, and sends nothing."""
     with Link(config, "test", Role.SLAVE) as slave:
         states = slave._zenoh.declare_publisher("teleop/test/state")
@@ -217,9 +205,7 @@ def test_nothing_is_kept_of_a_listener_but_subscribers(
             assert asks.matching_status.matching == bool(kept)
 
 
-def test_a_lost_number_is_not_taken_by_somebody_else(
-    pair: tuple[Link, Link], config: LinkConfig
-) -> None:
+def test_a_lost_number_is_not_taken_by_somebody_else(pair, config):
     """A second process with the number of the master, and a certificate of a master."""
     slave, master = pair
     twin = Link(config, "test", Role.MASTER)

@@ -1,14 +1,13 @@
 """Sessions behind routers: all meet there, nothing crosses over, nobody is there twice."""
 
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 import pytest
 
 from studies.testbed.processes import find_free_ports
 from teleop.errors import PeerError, TeleopError
-from teleop.link import Link, LinkConfig, Listener
+from teleop.link import Link, LinkConfig
 from teleop.link.network import open_session
 from teleop.link.router import Router
 from teleop.messages.messages import Command, LoopReport
@@ -22,12 +21,12 @@ from tests.teleop.link.bench import oldest, pump, wait_until
 SERVED = ("a", "b", "room-1", "room-1-left", "room-2")  # one is the beginning of another
 
 
-def endpoints(count: int) -> list[str]:
+def endpoints(count):
     return [f"127.0.0.1:{port}" for port in find_free_ports(count)]
 
 
 @contextmanager
-def routed() -> Iterator[LinkConfig]:
+def routed():
     """A router, and the config of a link to it."""
     (end,) = endpoints(1)
     config = LinkConfig(routers=(end,))
@@ -36,7 +35,7 @@ def routed() -> Iterator[LinkConfig]:
 
 
 @contextmanager
-def pair(config: LinkConfig, name: str, other: LinkConfig | None = None) -> Iterator[list[Link]]:
+def pair(config, name, other=None):
     """A slave and a master who know each other; the master may be at another router."""
     with (
         Link(config, name, Role.SLAVE) as slave,
@@ -46,11 +45,11 @@ def pair(config: LinkConfig, name: str, other: LinkConfig | None = None) -> Iter
         yield [slave, master]
 
 
-def test_nothing_crosses_from_one_session_to_another() -> None:
+def test_nothing_crosses_from_one_session_to_another():
     with routed() as config, ExitStack() as stack:
         names = SERVED[2:]
         pairs = {name: stack.enter_context(pair(config, name)) for name in names}
-        ears: dict[str, Listener] = {}
+        ears = {}
         for name in names:
             ears[name] = stack.enter_context(Link(config, name, Role.RECORDER)).listen(TOPICS)
         for number, (slave, master) in enumerate(pairs.values()):
@@ -61,7 +60,7 @@ def test_nothing_crosses_from_one_session_to_another() -> None:
             slave, master = pairs[name]
             messages = []
 
-            def heard_reports(ear=ear, messages=messages) -> bool:
+            def heard_reports(ear=ear, messages=messages):
                 messages.extend(ear.drain())
                 return any(item.topic is REPORT for item in messages)
 
@@ -77,7 +76,7 @@ def test_nothing_crosses_from_one_session_to_another() -> None:
 
 
 @pytest.mark.usefixtures("true_settling")
-def test_a_second_master_at_the_router_is_refused_and_the_first_stays() -> None:
+def test_a_second_master_at_the_router_is_refused_and_the_first_stays():
     with routed() as config, pair(config, "a") as (slave, master):
         late = oldest(Link(config, "a", Role.MASTER))
         with pytest.raises(PeerError, match="'a' has a master already"), late:
@@ -89,7 +88,7 @@ def test_a_second_master_at_the_router_is_refused_and_the_first_stays() -> None:
             pass
 
 
-def test_two_sites_with_a_router_each_are_one_session() -> None:
+def test_two_sites_with_a_router_each_are_one_session():
     ends = endpoints(2)
     near, far = (LinkConfig(routers=(end,)) for end in ends)
     with (
@@ -100,7 +99,7 @@ def test_two_sites_with_a_router_each_are_one_session() -> None:
         pump(master, slave, 3)
 
 
-def test_a_router_that_is_started_again_brings_all_back() -> None:
+def test_a_router_that_is_started_again_brings_all_back():
     (end,) = endpoints(1)
     config = LinkConfig(routers=(end,))
     with ExitStack() as stack:
@@ -115,7 +114,7 @@ def test_a_router_that_is_started_again_brings_all_back() -> None:
         assert slave.take_latest(COMMAND).counts.restarts == 0
 
 
-def test_a_second_router_takes_over() -> None:
+def test_a_second_router_takes_over():
     ends = endpoints(2)
     config = LinkConfig(routers=tuple(ends))
     with Router(config, SERVED, ends[1:], []), ExitStack() as stack:
@@ -127,7 +126,7 @@ def test_a_second_router_takes_over() -> None:
         pump(master, slave)
 
 
-def test_without_a_router_it_says_so_at_once() -> None:
+def test_without_a_router_it_says_so_at_once():
     begin = time.monotonic()
     config = LinkConfig(routers=tuple(endpoints(2)))
     with pytest.raises(TeleopError, match=r"no router answers at .*, .*: teleop router"):
@@ -135,7 +134,7 @@ def test_without_a_router_it_says_so_at_once() -> None:
     assert time.monotonic() - begin < 5.0
 
 
-def test_a_session_that_the_router_does_not_serve_stays_alone() -> None:
+def test_a_session_that_the_router_does_not_serve_stays_alone():
     (end,) = endpoints(1)
     config = LinkConfig(routers=(end,))
     with (
@@ -149,7 +148,7 @@ def test_a_session_that_the_router_does_not_serve_stays_alone() -> None:
 
 
 @pytest.mark.parametrize("served", [("a",), (ALL_SESSIONS,)])
-def test_what_a_role_must_not_send_ends_at_the_router(served: tuple[str, ...]) -> None:
+def test_what_a_role_must_not_send_ends_at_the_router(served):
     """Of a router of all sessions it gets through, and the slave does not believe it."""
     (end,) = endpoints(1)
     config = LinkConfig(routers=(end,))

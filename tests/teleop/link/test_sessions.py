@@ -3,28 +3,19 @@
 import os
 import socket
 import time
-from typing import Any
 
 import pytest
 
 from teleop.errors import PeerError, UsageError
-from teleop.link import Link, LinkConfig, MessageCounts
+from teleop.link import Link, MessageCounts
 from teleop.link.config import Address
-from teleop.link.listener import Listener
 from teleop.link.network import BATCH_BYTES
-from teleop.messages.messages import (
-    Command,
-    Event,
-    Hand,
-    LoopReport,
-    SlaveState,
-    encode_text,
-)
-from teleop.messages.topics import COMMAND, EVENT, HAND, REPORT, STATE, TOPICS, Role, Topic
+from teleop.messages.messages import Command, Event, Hand, LoopReport, SlaveState, encode_text
+from teleop.messages.topics import COMMAND, EVENT, HAND, REPORT, STATE, TOPICS, Role
 from tests.teleop.link.bench import MS, free_config, pump, session, wait_until
 
 
-def test_messages_cross_whole_and_in_order(config: LinkConfig) -> None:
+def test_messages_cross_whole_and_in_order(config):
     with session(config, Role.SLAVE, Role.MASTER, Role.RECORDER) as (slave, master, recorder):
         for link, topic in ((slave, COMMAND), (master, STATE)):
             link.subscribe_latest(topic)
@@ -51,7 +42,7 @@ def test_messages_cross_whole_and_in_order(config: LinkConfig) -> None:
         assert command.position == (command.state * 0.5,) * 8
         assert state.echo_stamp_ns == sent[state.joints]
 
-        heard: list[Any] = []
+        heard = []
         wait_until(
             lambda: heard.extend(listener.drain()) or listener.count_messages(REPORT).received == 2
         )
@@ -71,7 +62,7 @@ def test_messages_cross_whole_and_in_order(config: LinkConfig) -> None:
         )
 
 
-def test_sessions_on_the_same_endpoints_do_not_hear_each_other(config: LinkConfig) -> None:
+def test_sessions_on_the_same_endpoints_do_not_hear_each_other(config):
     with Link(config, "one", Role.SLAVE) as slave, Link(config, "two", Role.MASTER) as master:
         slave.subscribe_latest(COMMAND)
         for _ in range(50):
@@ -82,9 +73,7 @@ def test_sessions_on_the_same_endpoints_do_not_hear_each_other(config: LinkConfi
         assert not master.is_present(Role.SLAVE)
 
 
-def test_without_a_peer_publishing_is_quiet_and_the_peer_is_found_when_it_comes(
-    config: LinkConfig,
-) -> None:
+def test_without_a_peer_publishing_is_quiet_and_the_peer_is_found_when_it_comes(config):
     with Link(config, "test", Role.MASTER) as master:
         for _ in range(100):
             master.publish(COMMAND, Command())
@@ -100,7 +89,7 @@ def test_without_a_peer_publishing_is_quiet_and_the_peer_is_found_when_it_comes(
             pump(master, slave)
 
 
-def test_what_nobody_subscribes_to_is_skipped_and_leaves_a_gap(config: LinkConfig) -> None:
+def test_what_nobody_subscribes_to_is_skipped_and_leaves_a_gap(config):
     with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
         assert master.skip_unsubscribed(COMMAND)
         slave.subscribe_latest(COMMAND)
@@ -119,9 +108,7 @@ def test_what_nobody_subscribes_to_is_skipped_and_leaves_a_gap(config: LinkConfi
         assert again.sequence >= first.sequence + 3
 
 
-def test_a_viewer_gets_copies_of_fast_topics_and_calls_the_rest_not_lost(
-    config: LinkConfig,
-) -> None:
+def test_a_viewer_gets_copies_of_fast_topics_and_calls_the_rest_not_lost(config):
     """At 500 Hz: 100 a second; nobody but the viewer listens, so the rest is not composed."""
     with (
         session(config, Role.SLAVE, Role.MASTER) as (_, master),
@@ -139,7 +126,7 @@ def test_a_viewer_gets_copies_of_fast_topics_and_calls_the_rest_not_lost(
             time.sleep(0.002)
         passed_s = time.monotonic() - begin
 
-        def received(topic: Topic[Any]) -> int:
+        def received(topic):
             listener.drain()
             return listener.count_messages(topic).received
 
@@ -150,18 +137,18 @@ def test_a_viewer_gets_copies_of_fast_topics_and_calls_the_rest_not_lost(
         assert listener.count_messages(HAND).overwritten >= 200 - composed - 10
 
 
-def test_copies_come_at_their_rate_though_all_messages_are_sent(config: LinkConfig) -> None:
+def test_copies_come_at_their_rate_though_all_messages_are_sent(config):
     with (
         session(config, Role.SLAVE, Role.MASTER) as (_, master),
         Link(config, "test", Role.VIEWER) as viewer,
     ):
         copies, everything = viewer.listen([COMMAND], sampled={COMMAND}), viewer.listen([COMMAND])
 
-        def received(listener: Listener) -> int:
+        def received(listener):
             listener.drain()
             return listener.count_messages(COMMAND).received
 
-        def both_hear() -> bool:
+        def both_hear():
             master.publish(COMMAND, Command())
             return min(received(copies), received(everything)) > 0
 
@@ -175,11 +162,11 @@ def test_copies_come_at_their_rate_though_all_messages_are_sent(config: LinkConf
         assert 10 <= received(copies) - before[0] <= 50.0 * passed_s + 2
 
 
-def test_connections_leave_no_file_open(config: LinkConfig) -> None:
+def test_connections_leave_no_file_open(config):
     """Each connection looks through the open files for its own."""
     with Link(config, "test", Role.SLAVE) as slave, open("/dev/null", "rb"):
 
-        def connected_and_gone() -> int:
+        def connected_and_gone():
             with Link(config, "test", Role.VIEWER) as viewer:
                 viewer.listen((STATE,))
                 wait_until(lambda: slave.has_listener(STATE))
@@ -192,7 +179,7 @@ def test_connections_leave_no_file_open(config: LinkConfig) -> None:
         assert after[-1] <= before + 2, (before, after)
 
 
-def test_a_topic_subscribed_to_twice_has_one_inbox_that_is_emptied(config: LinkConfig) -> None:
+def test_a_topic_subscribed_to_twice_has_one_inbox_that_is_emptied(config):
     """A second inbox that nobody reads kept every command: 2 MB a second at the slave."""
     with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
         first = slave.subscribe_latest(COMMAND)
@@ -202,7 +189,7 @@ def test_a_topic_subscribed_to_twice_has_one_inbox_that_is_emptied(config: LinkC
         assert first.message is message is not None
 
 
-def test_a_port_of_someone_else_is_named_with_a_remedy(config: LinkConfig) -> None:
+def test_a_port_of_someone_else_is_named_with_a_remedy(config):
     with socket.socket() as other:
         other.bind(("127.0.0.1", Address.parse(config.slave).port))
         other.listen()
@@ -214,7 +201,7 @@ def test_a_port_of_someone_else_is_named_with_a_remedy(config: LinkConfig) -> No
     assert "\n" not in str(caught.value)
 
 
-def test_an_address_of_another_machine_is_named_with_a_remedy() -> None:
+def test_an_address_of_another_machine_is_named_with_a_remedy():
     config = free_config(slave="192.0.2.1:7448", insecure=True)
     with (
         pytest.raises(UsageError, match=r"192\.0\.2\.1:7448.*not an address of this machine"),
@@ -223,7 +210,7 @@ def test_an_address_of_another_machine_is_named_with_a_remedy() -> None:
         pass
 
 
-def test_a_role_publishes_only_its_own_topics(config: LinkConfig) -> None:
+def test_a_role_publishes_only_its_own_topics(config):
     with Link(config, "test", Role.SLAVE) as slave:
         with pytest.raises(ValueError, match="hand is published by"):
             slave.publish(HAND, HAND.message())
@@ -231,5 +218,5 @@ def test_a_role_publishes_only_its_own_topics(config: LinkConfig) -> None:
             slave.subscribe_latest(EVENT)
 
 
-def test_every_message_fits_into_one_batch_with_room_for_its_key() -> None:
+def test_every_message_fits_into_one_batch_with_room_for_its_key():
     assert max(topic.message.schema.size for topic in TOPICS) + 256 <= BATCH_BYTES

@@ -3,7 +3,6 @@
 import socket
 import ssl
 import time
-from pathlib import Path
 
 import pytest
 
@@ -15,19 +14,17 @@ from tests.teleop.link.bench import pump, session
 
 
 @pytest.fixture(scope="module")
-def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def folders(tmp_path_factory):
     """Ours, and those of someone with an authority of his own."""
     folder = tmp_path_factory.mktemp("keys")
     return make_keys(folder / "ours"), make_keys(folder / "theirs")
 
 
-def with_keys(keys: Path | None, like: LinkConfig, insecure: bool = False) -> LinkConfig:
+def with_keys(keys, like, insecure=False):
     return LinkConfig(master=like.master, slave=like.slave, keys=keys, insecure=insecure)
 
 
-def test_another_authority_the_local_one_and_plaintext_are_kept_out(
-    folders: tuple[Path, Path], config: LinkConfig
-) -> None:
+def test_another_authority_the_local_one_and_plaintext_are_kept_out(folders, config):
     ours, theirs = folders
     with Link(with_keys(ours, config), "test", Role.SLAVE) as slave:
         slave.subscribe_latest(COMMAND)
@@ -42,7 +39,7 @@ def test_another_authority_the_local_one_and_plaintext_are_kept_out(
         assert slave.take_latest(COMMAND).counts == MessageCounts()
 
 
-def test_a_plaintext_session_is_possible_if_asked_for(config: LinkConfig) -> None:
+def test_a_plaintext_session_is_possible_if_asked_for(config):
     with session(with_keys(None, config, insecure=True), Role.SLAVE, Role.MASTER) as (
         slave,
         master,
@@ -50,9 +47,7 @@ def test_a_plaintext_session_is_possible_if_asked_for(config: LinkConfig) -> Non
         pump(master, slave, 20)
 
 
-def test_only_tls_1_3_is_spoken_which_has_no_renegotiation(
-    folders: tuple[Path, Path], config: LinkConfig
-) -> None:
+def test_only_tls_1_3_is_spoken_which_has_no_renegotiation(folders, config):
     host, port = config.slave.split(":")
     newest, older = (ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT) for _ in range(2))
     older.maximum_version = ssl.TLSVersion.TLSv1_2

@@ -2,7 +2,6 @@
 
 import time
 from datetime import UTC, datetime
-from pathlib import Path
 
 import pytest
 
@@ -20,26 +19,26 @@ DAY_S = 86_400.0
 
 
 @pytest.fixture(autouse=True)
-def short_patience(monkeypatch: pytest.MonkeyPatch) -> None:
+def short_patience(monkeypatch):
     monkeypatch.setattr(roster_module, "CHALLENGE_PERIOD_NS", 100_000_000)
 
 
 @pytest.fixture
-def authority() -> Authority:
+def authority():
     return Authority.create("test authority", 2)
 
 
-def with_keys(config: LinkConfig, keys: Path) -> LinkConfig:
+def with_keys(config, keys):
     return LinkConfig(master=config.master, slave=config.slave, keys=keys)
 
 
-def is_parted(slave: Link, master: Link) -> None:
+def is_parted(slave, master):
     """Neither counts the other as present, and no command is believed."""
     wait_until(lambda: not slave.is_present(Role.MASTER) and not master.is_present(Role.SLAVE))
     before = slave.take_latest(COMMAND).counts
     received, unknown = before.received, before.unknown
 
-    def refused() -> bool:
+    def refused():
         master.publish(COMMAND, Command(state=1))
         return slave.take_latest(COMMAND).counts.unknown > unknown + 5
 
@@ -47,9 +46,7 @@ def is_parted(slave: Link, master: Link) -> None:
     assert slave.take_latest(COMMAND).counts.received == received
 
 
-def test_a_master_that_is_revoked_is_parted_from_within_seconds(
-    tmp_path: Path, config: LinkConfig, authority: Authority
-) -> None:
+def test_a_master_that_is_revoked_is_parted_from_within_seconds(tmp_path, config, authority):
     keys = make_keys(tmp_path, authority=authority)
     with session(with_keys(config, keys), Role.SLAVE, Role.MASTER) as (slave, master):
         pump(master, slave, 3)
@@ -60,9 +57,7 @@ def test_a_master_that_is_revoked_is_parted_from_within_seconds(
         is_parted(slave, master)
 
 
-def test_a_list_that_is_not_genuine_takes_nobody_back(
-    tmp_path: Path, config: LinkConfig, authority: Authority
-) -> None:
+def test_a_list_that_is_not_genuine_takes_nobody_back(tmp_path, config, authority):
     keys = make_keys(tmp_path / "keys", authority=authority)
     Authority.create("another", 2).publish(tmp_path / "other")
     empty = (keys / REVOKED).read_bytes()
@@ -87,9 +82,7 @@ def test_a_list_that_is_not_genuine_takes_nobody_back(
             assert not again.is_present(Role.SLAVE)  # which does not answer it either
 
 
-def test_a_certificate_that_expires_ends_the_pair(
-    tmp_path: Path, config: LinkConfig, authority: Authority
-) -> None:
+def test_a_certificate_that_expires_ends_the_pair(tmp_path, config, authority):
     keys = make_keys(tmp_path, authority=authority)
     put(authority, keys, Identity(CertificateRole.MASTER, "test"), 3.0 / DAY_S)
     with session(with_keys(config, keys), Role.SLAVE, Role.MASTER) as (slave, master):

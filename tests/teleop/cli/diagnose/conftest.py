@@ -1,14 +1,12 @@
 """Learned models of few trees: what they are worth is tested where they are."""
 
-from collections.abc import Iterator
-
 import pytest
 
 from estimator.diagnosis import learned
 
 
 @pytest.fixture(scope="package", autouse=True)
-def few_trees() -> Iterator[None]:
+def few_trees():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(learned, "_TREES", 8)
         yield
