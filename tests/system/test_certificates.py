@@ -2,22 +2,14 @@
 
 import json
 import re
-import shutil
 import subprocess
 import sys
-from contextlib import contextmanager
-from dataclasses import replace
 
 import pytest
 
-from studies.testbed.processes import OURS, START_S, Processes, find_free_ports, has_ended_well
+from studies.testbed.processes import OURS, START_S, find_free_ports, has_ended_well
 from teleop.cli import commands
 from teleop.launch.supervisor import wait_for_condition
-from teleop.link import Link
-from teleop.messages.messages import Event, decode_text
-from teleop.messages.topics import EVENT, STATE, Role
-from teleop.security.revocation import REVOKED
-from teleop.session.state_machine import State
 from tests.system.namespaces import Network, require_namespaces
 
 pytestmark = pytest.mark.slow
@@ -39,70 +31,6 @@ def issue(folder, out, *roles, session=SESSION):
         ["keys", "issue", str(home), "--session", session, "--out", str(out_folder), *words]
     ) == 0  # fmt: skip
     return out_folder
-
-
-def revoke(folder, keys, name):
-    """Revoke a certificate by the command, and bring the list to the keys."""
-    home = folder / "authority"
-    assert commands.main(["keys", "revoke", str(home), str(keys / f"{name}.pem")]) == 0
-    shutil.copy(home / REVOKED, keys / REVOKED)
-
-
-class Heard:
-    """What the processes of a session say."""
-
-    def __init__(self, listener):
-        self._listener = listener
-        self.lines = []
-
-    def said(self, role, text):
-        events = (Event.unpack(item.data) for item in self._listener.drain())
-        self.lines += [(event.role, decode_text(event.text)) for event in events]
-        return any(by == role and text in line for by, line in self.lines)
-
-
-@contextmanager
-def watched(session, keys):
-    link_config = replace(session.link_config, keys=keys)
-    with Link(link_config, session.session, Role.LAUNCHER) as link:
-        link.subscribe_latest(STATE)
-        yield link, Heard(link.listen((EVENT,)))
-
-
-def has_let_go(link):
-    state = link.take_latest(STATE).message
-    return state is not None and state.state in (State.HOLDING, State.FAULT)
-
-
-def test_a_revoked_master_is_parted_from_while_it_is_engaged(tmp_path, demo_config):
-    keys = issue(tmp_path, "keys", *TOGETHER)
-    with Processes(tmp_path, demo_config, f"link.keys={keys}", *HELD) as session:
-        session.take_name(SESSION)
-        session.start("slave")
-        session.start("master")
-        with watched(session, keys) as (link, heard):
-            assert wait_for_condition(lambda: session.engaged(link), START_S), session.outputs()
-            revoke(tmp_path, keys, f"{SESSION}.master")
-            assert wait_for_condition(lambda: has_let_go(link), 10.0), session.outputs()
-            revoked = f"the certificate master.{SESSION} was revoked"
-            assert wait_for_condition(lambda: heard.said(Role.SLAVE, f"refused: {revoked}"), 10.0)
-            assert wait_for_condition(
-                lambda: heard.said(Role.MASTER, f"{revoked}; it is ours"), 10.0
-            )
-            assert not wait_for_condition(lambda: session.engaged(link), 3.0)
-        # and it cannot start again
-        code, said = run_one(session, "master")
-        assert code == 2
-        assert revoked in said
-
-
-def run_one(session, command):
-    """A command that ends by itself; its exit code and error lines."""
-    done = subprocess.run(
-        [sys.executable, "-m", "teleop", command, *session.shared],
-        env=OURS, timeout=START_S, check=False, capture_output=True, text=True,
-    )  # fmt: skip
-    return done.returncode, done.stderr
 
 
 def test_a_run_with_keys_of_the_command(tmp_path, demo_config):

@@ -1,7 +1,6 @@
 """What every command does around its work: arguments, summaries, and dying in time."""
 
 import argparse
-import json
 import os
 import signal
 import subprocess
@@ -12,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from teleop.errors import TeleopError, UsageError
-from teleop.runtime.output_file import OutputFile
 from teleop.runtime.process import (
     SUPERVISED_VARIABLE,
     StopCondition,
@@ -75,29 +73,12 @@ def test_a_loop_is_stopped_by_each_signal_that_ends_a_command(number, monkeypatc
         assert (stop(), stop.reason) == (True, number.name)
 
 
-def test_a_summary_replaces_the_old_one_whole(tmp_path):
-    path, link = tmp_path / "run.json", tmp_path / "newest.json"
-    link.symlink_to(path)
-    for ticks in (1, 2):
-        write_summary(str(link), {"ticks": ticks})
-        assert json.loads(path.read_text()) == {"ticks": ticks}
-    assert link.is_symlink()
-    assert set(tmp_path.iterdir()) == {path, link}
-    write_summary(None, {})
-
-
 def test_a_summary_that_cannot_be_written_is_one_line_and_leaves_nothing(tmp_path):
     (tmp_path / "taken").mkdir()
     for place in (tmp_path / "taken", tmp_path / "no" / "run.json"):
         with pytest.raises(UsageError, match="summary cannot be written"):
             write_summary(place, {"ticks": 1})
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
-
-
-def test_a_device_is_written_to_and_stays_one():
-    assert OutputFile()("/dev/null") == Path("/dev/null")
-    write_summary("/dev/null", {"ticks": 1})
-    assert Path("/dev/null").is_char_device()
 
 
 def test_who_was_started_by_a_process_that_has_ended_ends_too(monkeypatch):

@@ -25,17 +25,6 @@ def test_absurd_durations_are_counted_and_not_lost():
     assert durations.compute_percentile_ns(100.0) == 2_000_000_000
 
 
-def test_a_span_forgets_the_one_before():
-    durations = Durations()
-    assert durations.take_span() == Span() == (0, 0, 0, 0, 0)
-    for value in (1, 2, 3):
-        durations.add(value)
-    assert durations.take_span() == Span(values=3, p50=2, p99=3, p99_9=3, largest=3)
-    durations.add(9)
-    assert durations.take_span() == Span(values=1, p50=9, p99=9, p99_9=9, largest=9)
-    assert durations.compute_percentile_ns(50.0) is not None
-
-
 @given(st.lists(st.integers(0, 10**9), min_size=1, max_size=300))
 def test_a_span_is_of_all_that_came_and_its_percentiles_are_among_it(values):
     durations = Durations()
@@ -48,3 +37,5 @@ def test_a_span_is_of_all_that_came_and_its_percentiles_are_among_it(values):
     assert set(span[1:]) <= set(values)
     assert sum(value < span.p50 for value in values) <= len(values) / 2
     assert sum(value > span.p50 for value in values) <= len(values) / 2
+    assert durations.take_span() == Span()  # of what came since
+    assert durations.compute_percentiles(1.0).n == len(values)

@@ -25,7 +25,6 @@ from teleop.messages.topics import COMMAND, HAND, SHEATH, STATE
 from teleop.session.config import RunConfig
 from teleop.view.columns import decode
 from teleop.view.config import ViewConfig
-from teleop.view.layouts import build_blueprint
 from teleop.view.scene import Scene
 from teleop.view.scene_geometry import ARROW, Shape, build_stage
 from teleop.view.sinks import Sink
@@ -276,16 +275,3 @@ def test_the_view_shows_what_was_computed_at_the_rate_of_its_pictures(notes, tmp
 def test_a_session_without_arms_has_nothing_of_them(tmp_path):
     saved = save(Session(0.3).messages, tmp_path / "plain.rrd")
     assert not [entity for entity in saved if "arm" in entity or "tip_force" in entity]
-    joints = {0: [0, 1], 1: [2, 3]}
-    plain, with_arm = (count_views(build_blueprint(CONFIG, joints, arms)) for arms in (0, 1))
-    assert with_arm == plain + 1
-
-
-def count_views(blueprint):
-    def count(part):
-        contents = getattr(part, "contents", ())
-        if isinstance(contents, str) or not hasattr(part, "kind"):
-            return 1
-        return sum(map(count, contents))
-
-    return count(blueprint.root_container)

@@ -90,12 +90,6 @@ def test_columns_are_those_of_the_archetype_itself(archetype, fields):
         )
     )
     assert made == known
-    assert {name: values.type for name, values in made.items()} == {
-        name: values.type for name, values in known.items()
-    }
-
-
-# colours
 
 
 def test_tensions_off_the_scale_take_its_ends_and_unknown_ones_grey():
@@ -104,9 +98,6 @@ def test_tensions_off_the_scale_take_its_ends_and_unknown_ones_grey():
     assert colours[2] == colours[3]
     assert colours[4] == colours[5] == UNKNOWN
     assert (colours & 0xFF == 0xFF).all()
-
-
-# shape
 
 
 @settings(max_examples=20)
@@ -138,9 +129,6 @@ def test_the_drawn_sheath_has_the_length_and_the_bends_of_the_real_one(sections,
     for begin, end, l_k, r_k in zip(ends - length, ends, length, radius, strict=True):
         inside = heading[(middle > begin + 2 * s[1]) & (middle < end - 2 * s[1])]
         assert inside[-1] - inside[0] == pytest.approx(l_k / r_k, abs=6 * s[1] / abs(r_k) + 1e-6)
-
-
-# the stage
 
 
 # what slides, and what is certain

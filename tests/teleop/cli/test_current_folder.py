@@ -2,7 +2,6 @@
 
 import ast
 import json
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -74,31 +73,6 @@ def test_a_session_through_its_proxy_imports_nothing_from_the_current_folder(
     assert state["lost"] == pytest.approx(0.1 * state["came"], rel=0.2)
     assert state["sent"] == state["came"] - state["lost"]
     assert f"{state['lost']} lost" in ended.stdout
-
-
-@pytest.mark.slow
-@pytest.mark.real_time
-def test_the_processes_of_a_session_do_not_either_and_a_port_in_use_is_one_line(
-    crowded, demo_config
-):
-    (master,) = find_free_ports(1)
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        slave = f"127.0.0.1:{taken.getsockname()[1]}"
-        words = ["--config", demo_config, "--view", "none", "--set", f"link.slave={slave}"]
-        ended = subprocess.run(
-            [TELEOP, "run", *words, "--set", f"link.master=127.0.0.1:{master}"],
-            cwd=crowded,
-            env=OURS,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-    (line,) = ended.stderr.splitlines()
-    assert slave.rpartition(":")[2] in line
-    assert "imported" not in ended.stdout + line
-    assert ended.returncode == 2
 
 
 def test_a_pool_of_processes_imports_nothing_from_the_current_folder(crowded, tmp_path):

@@ -135,20 +135,6 @@ def test_it_says_which_effects_were_on(tmp_path, capsys):
     assert "effect slack (length 0.001), joint 1, tendon a, from 0 s" in printed
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--duration", "0"], "--duration"),
-        (["--rate", "2000"], "--rate"),
-        (["--seed", "-1"], "--seed"),
-        (["--keep", "0"], "--keep"),
-    ],
-)
-def test_wrong_usage_is_one_line(tmp_path, words, message):
-    with pytest.raises(UsageError, match=message):
-        run("--out", tmp_path / "x.csv", *words)
-
-
 @pytest.mark.parametrize("name", ["x.txt", "missing/x.csv"])
 def test_a_file_that_cannot_be_written_is_refused_before_the_work(tmp_path, name, monkeypatch):
     monkeypatch.setattr(simulate, "simulate", lambda *_, **__: pytest.fail("work was done"))

@@ -74,44 +74,50 @@ def running(*sides):
         thread.join()
 
 
+@contextmanager
+def ticking(role="master", *peer, state="engaged", session="s"):
+    """One side, and what it says of its peer; ticks."""
+    with StopSocket(session, role) as own:
+        assert not own.warning
+        side = Side(own, role, peer)
+        side.state = state
+        with running(side):
+            yield side
+
+
+def stop(session="s", reason=""):
+    """Call for a stop; return the state of each side that is known of."""
+    return request_local(session, is_reset=False, reason=reason).states
+
+
 def test_both_sides_stop_and_are_reset_by_the_number_of_their_stop():
-    with StopSocket("s", "master") as one, StopSocket("s", "slave") as two:
-        master, slave = Side(one, "master"), Side(two, "slave")
-        with running(master, slave):
-            answers = request_local("s", is_reset=False, reason="smoke")
-            assert answers.states == {"master": "stopped", "slave": "stopped"}
-            assert set(master.reasons) == {"smoke"}
-            assert answers.are_direct
-            assert (master.stops, slave.stops) == (5, 5)
-            answers = request_local("s", is_reset=True, reason="")
-            assert answers.states == {"master": "ready", "slave": "ready"}
+    with ticking() as master, ticking("slave") as slave:
+        answers = request_local("s", is_reset=False, reason="smoke")
+        assert answers.states == {"master": "stopped", "slave": "stopped"}
+        assert set(master.reasons) == {"smoke"}
+        assert answers.are_direct
+        assert (master.stops, slave.stops) == (5, 5)
+        answers = request_local("s", is_reset=True, reason="")
+        assert answers.states == {"master": "ready", "slave": "ready"}
 
 
 def test_a_side_tells_of_its_peer_on_another_machine():
-    with StopSocket("s", "slave") as own:
-        side = Side(own, "slave", ["master engaged"])
-        with running(side):
-            answers = request_local("s", is_reset=False, reason="")
+    with ticking("slave", "master engaged"):
+        answers = request_local("s", is_reset=False, reason="")
     assert answers.states == {"master": "engaged", "slave": "stopped"}
     assert not answers.are_direct
 
 
 def test_a_side_that_does_not_answer_is_silent_even_if_its_peer_speaks_for_it():
-    with StopSocket("s", "master") as one, StopSocket("s", "slave"):
-        master = Side(one, "master", ["slave stopped"])
-        with running(master):
-            answers = request_local("s", is_reset=False, reason="")
-    assert answers.states == {"master": "stopped", "slave": "silent"}
+    with ticking("master", "slave stopped"), StopSocket("s", "slave"):
+        assert stop() == {"master": "stopped", "slave": "silent"}
 
 
 @pytest.mark.parametrize("is_reset", [False, True])
 def test_a_side_elsewhere_that_is_silent_is_not_waited_for(monkeypatch, is_reset):
     monkeypatch.setattr(stop_socket, "ANSWER_S", 60.0)
-    with StopSocket("s", "master") as own:
-        side = Side(own, "master", ["slave silent"])
-        side.state = "stopped" if is_reset else "engaged"
-        with running(side):
-            answers = request_local("s", is_reset, reason="")
+    with ticking("master", "slave silent", state="stopped" if is_reset else "engaged"):
+        answers = request_local("s", is_reset, reason="")
     assert answers.states == {"master": "ready" if is_reset else "stopped", "slave": "silent"}
     assert answers.has_silent_peer
 
@@ -136,8 +142,7 @@ def test_a_stop_is_sent_though_no_answer_can_be_received(monkeypatch):
     with StopSocket("s", "master") as one, StopSocket("s", "slave") as two:
         refuse_to_bind(monkeypatch)
         master, slave = Side(one, "master"), Side(two, "slave")
-        answers = request_local("s", is_reset=False, reason="smoke")
-        assert answers.states == {"master": "silent", "slave": "silent"}
+        assert stop(reason="smoke") == {"master": "silent", "slave": "silent"}
         for side in (master, slave):
             side.tick()
             assert (side.state, side.reasons) == ("stopped", ["smoke"])
@@ -158,11 +163,9 @@ def test_a_stop_without_answers_is_confirmed_over_the_network_only(monkeypatch, 
 
 
 def test_another_session_is_not_stopped():
-    with StopSocket("s-2", "master") as own:
-        side = Side(own, "master")
-        with running(side):
-            for name in ("s", "", "*", "../s-2", "s-2.*"):
-                assert request_local(name, is_reset=False, reason="").states == {}
+    with ticking(session="s-2") as side:
+        for name in ("s", "", "*", "../s-2", "s-2.*"):
+            assert stop(name) == {}
     assert side.state == "engaged"
 
 
@@ -170,21 +173,15 @@ def test_another_session_is_not_stopped():
     "reason", ["", "\udcff\udc80", "line\nstop\nreset 4", "x" * 100_000, "é\0"]
 )
 def test_a_stop_does_not_depend_on_its_reason(reason):
-    with StopSocket("s", "master") as own:
-        side = Side(own, "master")
-        with running(side):
-            answers = request_local("s", is_reset=False, reason=reason)
-    assert answers.states == {"master": "stopped"}
+    with ticking():
+        assert stop(reason=reason) == {"master": "stopped"}
 
 
 @pytest.mark.parametrize(
     "data", [b"", b"stopp", b"reset", b"\xff" * 4000, b"reset -1", b"reset 99999999999"]
 )
 def test_what_is_no_request_changes_nothing(data, runtime_folder):
-    with (
-        StopSocket("s", "master") as own,
-        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender,
-    ):
+    with StopSocket("s", "master") as own, datagrams() as sender:
         side = Side(own, "master")
         (path,) = (runtime_folder / "tendon-teleop").iterdir()
         sender.sendto(data, str(path))
@@ -193,10 +190,7 @@ def test_what_is_no_request_changes_nothing(data, runtime_folder):
 
 
 def test_many_requests_take_a_bounded_part_of_a_tick(runtime_folder):
-    with (
-        StopSocket("s", "master") as own,
-        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender,
-    ):
+    with StopSocket("s", "master") as own, datagrams() as sender:
         sender.setblocking(False)
         (path,) = (runtime_folder / "tendon-teleop").iterdir()
         with suppress(BlockingIOError):
@@ -233,11 +227,8 @@ def test_what_a_killed_process_of_the_same_number_left_is_not_in_the_way(runtime
         name = path.name
     with datagrams() as killed:
         killed.bind(str(path))
-    with StopSocket("s", "slave") as own:
-        assert not own.warning
-        side = Side(own, "slave")
-        with running(side):
-            assert request_local("s", is_reset=False, reason="").states == {"slave": "stopped"}
+    with ticking("slave"):
+        assert stop() == {"slave": "stopped"}
         (path,) = runtime_folder.glob("*/*.stop")  # that of the killed process is removed
         assert path.name != name
 
@@ -247,7 +238,7 @@ def test_a_process_that_is_killed_during_a_request_is_not_waited_for(monkeypatch
         killed.bind(str(runtime_folder / "s.slave.stop"))
     paths = [(runtime_folder / "s.slave.stop", "s", "slave")]
     monkeypatch.setattr(stop_socket, "_list_sockets", lambda: paths)
-    assert request_local("s", is_reset=False, reason="").states == {"slave": "silent"}
+    assert stop() == {"slave": "silent"}
     assert not paths[0][0].exists()
 
 
@@ -255,11 +246,10 @@ def test_a_side_that_ends_in_order_during_a_stop_is_no_failure(monkeypatch, caps
     """Its socket is still there, but its loop has ended; so does the process soon after."""
     monkeypatch.setattr(stop_socket, "ANSWER_S", 60.0)
     monkeypatch.setattr(stop_over_link, "request_over_link", lambda *_: pytest.fail("asked"))
-    with StopSocket("s", "slave") as own, ExitStack() as ending:
+    with ticking("slave", "master off"), ExitStack() as ending:
         ending.enter_context(StopSocket("s", "master"))
         threading.Timer(0.3, ending.close).start()
-        with running(Side(own, "slave", ["master off"])):
-            assert commands.main(["stop", "--session", "s"]) == 0
+        assert commands.main(["stop", "--session", "s"]) == 0
     assert capsys.readouterr().out.splitlines() == ["master    ended", "slave     stopped"]
 
 
@@ -277,11 +267,9 @@ def test_a_folder_that_others_may_enter_is_not_used(runtime_folder):
     folder = runtime_folder / "tendon-teleop"
     folder.mkdir()
     folder.chmod(0o750)
-    with StopSocket("s", "slave") as own:
-        assert not own.warning
+    with ticking("slave"):
         assert list(folder.iterdir()) == []
-        with running(Side(own, "slave")):
-            assert request_local("s", is_reset=False, reason="").states == {"slave": "stopped"}
+        assert stop() == {"slave": "stopped"}
 
 
 @pytest.fixture
@@ -302,14 +290,11 @@ def occupied(monkeypatch, runtime_folder):
 
 
 def test_nobody_takes_away_the_local_stop_by_making_its_folders_first(occupied):
-    with StopSocket("s", "master") as own:
-        assert not own.warning
+    with ticking():
         (path,) = occupied.glob("**/*.stop")
         assert path.is_relative_to(occupied / "home" / "teleop")
         assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
-        side = Side(own, "master")
-        with running(side):
-            assert request_local("s", is_reset=False, reason="").states == {"master": "stopped"}
+        assert stop() == {"master": "stopped"}
 
 
 def test_a_folder_in_which_no_socket_can_be_made_is_passed_over(monkeypatch, runtime_folder):
@@ -322,11 +307,8 @@ def test_a_folder_in_which_no_socket_can_be_made_is_passed_over(monkeypatch, run
         return bind(path, stack)
 
     monkeypatch.setattr(stop_socket, "_bind_socket", fail)
-    with StopSocket("s", "master") as own:
-        assert not own.warning
-        side = Side(own, "master")
-        with running(side):
-            assert request_local("s", is_reset=False, reason="").states == {"master": "stopped"}
+    with ticking():
+        assert stop() == {"master": "stopped"}
 
 
 def test_without_any_folder_the_stop_goes_over_the_network(monkeypatch, occupied):
@@ -340,12 +322,10 @@ def test_without_any_folder_the_stop_goes_over_the_network(monkeypatch, occupied
 def test_a_process_with_another_environment_finds_the_others(monkeypatch, runtime_folder):
     monkeypatch.delenv("XDG_RUNTIME_DIR")
     monkeypatch.setenv("TMPDIR", str(runtime_folder))
-    with StopSocket("s", "master") as own:
-        side = Side(own, "master")
+    with ticking():
         (runtime_folder / "mine").mkdir()
         monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime_folder / "mine"))
-        with running(side):
-            assert request_local("s", is_reset=False, reason="").states == {"master": "stopped"}
+        assert stop() == {"master": "stopped"}
 
 
 def test_a_folder_too_long_for_the_address_of_a_socket_is_passed_over(monkeypatch, runtime_folder):
@@ -353,11 +333,8 @@ def test_a_folder_too_long_for_the_address_of_a_socket_is_passed_over(monkeypatc
     long.mkdir()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(long))
     name = f"s{secrets.token_hex(4)}"
-    with StopSocket(name, "master") as own:
-        assert not own.warning
-        side = Side(own, "master")
-        with running(side):
-            assert request_local(name, is_reset=False, reason="").states == {"master": "stopped"}
+    with ticking(session=name):
+        assert stop(name) == {"master": "stopped"}
 
 
 NETWORK = {
@@ -381,10 +358,8 @@ def test_a_side_that_is_silent_to_its_peer_is_sought_over_the_network(
         return found
 
     monkeypatch.setattr(stop_over_link, "request_over_link", request)
-    with StopSocket("s", "master") as own:
-        side = Side(own, "master", ["slave silent"])
-        with running(side):
-            assert commands.main(["stop", "--set", "session=s"]) == code
+    with ticking("master", "slave silent"):
+        assert commands.main(["stop", "--set", "session=s"]) == code
     out, err = capsys.readouterr()
     assert asked == ["s"]
     assert "master    stopped" in out
@@ -395,18 +370,15 @@ def test_a_side_that_is_silent_to_its_peer_is_sought_over_the_network(
 @pytest.mark.parametrize(("found", "code"), [({}, 1), ({"slave": "ready"}, 0)])
 def test_a_reset_does_not_pass_over_a_silent_side(monkeypatch, capsys, found, code):
     monkeypatch.setattr(stop_over_link, "request_over_link", lambda *_: found)
-    with StopSocket("s", "master") as own:
-        side = Side(own, "master", ["slave silent"])
-        side.state = "stopped"
-        with running(side):
-            assert commands.main(["stop", "--reset", "--set", "session=s"]) == code
+    with ticking("master", "slave silent", state="stopped"):
+        assert commands.main(["stop", "--reset", "--set", "session=s"]) == code
     assert ("no answer from the slave, which may be stopped" in capsys.readouterr().err) == code
 
 
 def test_another_session_is_not_asked_for_a_silent_side(monkeypatch, capsys):
     """Its socket gives the name of the session, but not its endpoints."""
     monkeypatch.setattr(stop_over_link, "request_over_link", lambda *_: pytest.fail("asked"))
-    with StopSocket("s", "master") as own, running(Side(own, "master", ["slave silent"])):
+    with ticking("master", "slave silent"):
         assert commands.main(["stop"]) == 1
     assert "teleop stop --config FILE" in capsys.readouterr().out
 
@@ -419,10 +391,6 @@ def test_nothing_slow_is_imported():
         "print(sorted(slow & sys.modules.keys()))"
     )
     words = [sys.executable, "-c", code]
-    with (
-        StopSocket("s", "master") as master,
-        StopSocket("s", "slave") as slave,
-        running(Side(master, "master"), Side(slave, "slave")),
-    ):
+    with ticking(), ticking("slave"):
         done = subprocess.run(words, capture_output=True, text=True, check=True)
     assert done.stdout.splitlines() == ["master    stopped", "slave     stopped", "[]"]
