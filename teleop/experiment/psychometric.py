@@ -19,16 +19,17 @@ answers is too small, above all that of a staircase.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
-from scipy import optimize, special, stats
+from scipy import optimize, special
 
-from estimator import drawing
 from estimator.array_types import Array
 from teleop.errors import UsageError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Shape = Literal["normal", "logistic"]
 
@@ -158,7 +159,9 @@ class _Likelihood:
         """
         tail = 0.5 * (1.0 - confidence)
         weights = _integrate(self.logs)
-        open_ends = weights[[0, -1]] > weights.max() * np.exp(-0.5 * stats.chi2.ppf(confidence, 1))
+        open_ends = weights[[0, -1]] > weights.max() * np.exp(
+            -0.5 * special.chdtri(1, 1.0 - confidence)
+        )
         kept = np.flatnonzero(weights > 1e-6 * weights.max())  # a finer grid where it matters
         first, last = max(kept[0] - 1, 0), min(kept[-1] + 1, len(weights) - 1)
         thresholds = np.linspace(self.thresholds[first], self.thresholds[last], _THRESHOLD_COUNT)
@@ -258,7 +261,7 @@ def draw_psychometric(
     fits: PsychometricFit | Sequence[PsychometricFit],
     labels: Sequence[str] = (),
     stimulus: str = "stimulus",
-) -> Figure:
+) -> "Figure":
     """Return a figure of fitted functions: answers by stimulus, curves, thresholds and intervals.
 
     Parameters
@@ -268,6 +271,10 @@ def draw_psychometric(
     stimulus : str
         Label of the axis, with its unit.
     """
+    from matplotlib.figure import Figure  # which takes a second, and no trial needs it
+
+    from estimator import drawing
+
     fits = [fits] if isinstance(fits, PsychometricFit) else list(fits)
     colours = (drawing.BLUE, drawing.VERMILION, drawing.GREEN, drawing.BLACK, drawing.GREY)
     with drawing.use_style():
