@@ -46,21 +46,25 @@ def heard(
 
 def record(
     folder: Path,
-    messages: Iterable[tuple[Topic[Any], Message, int]],
+    messages: Iterable[tuple[Topic[Any], Message, int] | tuple[Topic[Any], Message, int, int]],
     config: str = "",
     overrides: Sequence[str] = (),
     delay_ns: int = 0,
     **settings: Any,
 ) -> Path:
-    """Record (topic, message, time sent) by the recorder's own writer, each of them at once."""
+    """Record messages by the recorder's own writer, each of them at once.
+
+    Each is (topic, message, time sent), received `delay_ns` later, or with a time of receipt last.
+    """
     numbers: Counter[Topic[Any]] = Counter()
     how = RecordConfig(directory=str(folder), **settings)
     with RecordingWriter(how, "demo", START_NS, config, overrides) as writer:
-        for topic, message, sent_ns in messages:
+        for topic, message, sent_ns, *received in messages:
             number, numbers[topic] = numbers[topic], numbers[topic] + 1
             data = message.pack(SENDER, number, sent_ns)
-            item = ReceivedMessage(topic, data, sent_ns + delay_ns, SENDER, number, sent_ns)
-            writer.write([item], sent_ns)
+            (received_ns,) = received or (sent_ns + delay_ns,)
+            item = ReceivedMessage(topic, data, received_ns, SENDER, number, sent_ns)
+            writer.write([item], received_ns)
     return writer.path
 
 

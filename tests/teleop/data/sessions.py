@@ -2,30 +2,22 @@
 
 import numpy as np
 
-from teleop.link import ReceivedMessage
 from teleop.messages.messages import Command, Event, Hand, SlaveState, encode_text
 from teleop.messages.topics import COMMAND, EVENT, HAND, STATE, TOPICS, Role
 from teleop.recording.reader import read_messages
-from teleop.recording.writer import RecordConfig, RecordingWriter
 from teleop.session.state_machine import Reason, State
+from tests.teleop import recorded
+from tests.teleop.recorded import START_NS
 
-START_NS = 1_700_000_000_000_000_000
 MS = 1_000_000
 CLOCK_NS = 7_000_000_000  # of the master, beside the slave's and the recorder's
 _TOPICS = {topic.name: topic for topic in TOPICS}
 
 
-def record(folder, messages, session="demo"):
+def record(folder, messages):
     """Record (topic, message, time of receipt, stamp), one chunk each 10 ms."""
-    config = RecordConfig(directory=str(folder), chunk_s=0.01)
-    numbers = {}
-    with RecordingWriter(config, session, START_NS) as writer:
-        for topic, message, received_ns, stamp_ns in messages:
-            number = numbers[topic.name] = numbers.get(topic.name, -1) + 1
-            data = message.pack(7, number, stamp_ns)
-            item = ReceivedMessage(topic, data, received_ns, 7, number, stamp_ns)
-            writer.write([item], received_ns)
-    return writer.path
+    sent = ((topic, message, stamp, received) for topic, message, received, stamp in messages)
+    return recorded.record(folder, sent, chunk_s=0.01)
 
 
 def session_messages(joints, states, seed=0, events=None):
@@ -68,17 +60,17 @@ def expect_rows(path):
     rows = []
     newest = {}
     texts = []
-    for recorded in read_messages(path):
-        message = _TOPICS[recorded.topic].message.unpack(recorded.data)
-        if recorded.topic != "state":
-            newest[recorded.topic] = message, recorded.log_time_ns
-            if recorded.topic == "event":
+    for item in read_messages(path):
+        message = _TOPICS[item.topic].message.unpack(item.data)
+        if item.topic != "state":
+            newest[item.topic] = message, item.log_time_ns
+            if item.topic == "event":
                 text = bytes(message.text).rstrip(b"\0").decode()
-                texts.append((recorded.log_time_ns, f"{Role(message.role).name.lower()}: {text}"))
+                texts.append((item.log_time_ns, f"{Role(message.role).name.lower()}: {text}"))
             continue
         row = {
             "stamp_ns": message.stamp_ns,
-            "log_ns": recorded.log_time_ns,
+            "log_ns": item.log_time_ns,
             "events": texts,
             "slave_state": State(message.state).name.lower(),
             "slave_reason": Reason(message.reason).name.lower(),
@@ -89,9 +81,7 @@ def expect_rows(path):
         texts = []
         for name in ("command", "hand"):
             _, log_ns = newest.get(name, (None, None))
-            row[f"{name}_age_s"] = (
-                np.nan if log_ns is None else (recorded.log_time_ns - log_ns) / 1e9
-            )
+            row[f"{name}_age_s"] = np.nan if log_ns is None else (item.log_time_ns - log_ns) / 1e9
         if "command" in newest:
             row["master_state"] = State(newest["command"][0].state).name.lower()
             row["master_reason"] = Reason(newest["command"][0].reason).name.lower()
