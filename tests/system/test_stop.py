@@ -1,14 +1,16 @@
 """The emergency stop of a running session, from outside; what it did is read from a recording."""
 
+import io
 import signal
 import subprocess
 import tempfile
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 
 import numpy as np
 import pytest
 
 from studies.testbed.processes import START_S, Processes, pause
+from teleop.cli import commands
 from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.topics import COMMAND, EVENT, HAND, STATE, STOP, TENDONS, Role
 from teleop.recording.reader import read_columns
@@ -24,11 +26,12 @@ HELD = (
 LIMIT_NS = 50_000_000  # from the call heard by the recorder to no force and no motion
 
 
-def asked(session, command, *words):
-    """Run a command of the session to its end; return its exit code and what it printed."""
-    process = session.start(command, *words)
-    code = process.wait(30)
-    return code, sorted(session.folder.glob(f"*-{command}.log"))[-1].read_text()
+def asked(session, *words):
+    """Run a command of the session here; return its exit code and what it printed."""
+    said = io.StringIO()
+    with redirect_stdout(said), redirect_stderr(said):
+        code = commands.main([*words, *session.shared])
+    return code, said.getvalue()
 
 
 @contextmanager

@@ -557,6 +557,8 @@ def test_a_side_on_standby_opens_nothing_until_it_is_called(tmp_path, side):
     child.join_readers()
     assert complaint in child.complaint
 
+    if side == "master":  # the rest is the same code of both
+        return
     child = start()
     supervisor.stop([side])
     assert child.exit_code == 128 + signal.SIGTERM

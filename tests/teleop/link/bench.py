@@ -1,9 +1,11 @@
 """What tests of the link share: links on free ports, and messages across them."""
 
 import itertools
+import os
+import resource
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
 from studies.testbed.processes import find_free_ports
@@ -11,9 +13,12 @@ from teleop.link import LatestMessage, Link, LinkConfig
 from teleop.link.rate_limit import RefusalCounter
 from teleop.messages.messages import LAYOUT, Command
 from teleop.messages.topics import COMMAND, Role
+from teleop.security import CertificateRole
+from teleop.security.credentials import create_local_credentials
 from teleop.security.handshake import Handshake
 from teleop.security.keyring import Keyring
 from teleop.security.presence import EXCLUSIVE_ROLES, LISTENER_ROLES, RoleStage, Token
+from tests.rogue import Rogue
 
 MS = 1_000_000
 
@@ -68,6 +73,36 @@ def pump(sender: Link, receiver: Link, count: int = 1) -> LatestMessage[Command]
 
     wait_until(heard)
     return latest
+
+
+def rogue_of(
+    config: LinkConfig, role: CertificateRole = CertificateRole.ROUTER, count: int = 2
+) -> Rogue:
+    """A rogue with this certificate, connected to `count` links, that hears what is sent."""
+    tls = create_local_credentials("test", role).build_tls_settings()
+    rogue = Rogue([config.slave, config.master], "test", tls)
+    for topic in ("command", "state"):
+        rogue.listen(topic)
+    wait_until(lambda: rogue.connected(count))
+    time.sleep(0.2)
+    return rogue
+
+
+@contextmanager
+def no_descriptor_left() -> Iterator[None]:
+    """Take all descriptors that this process may have."""
+    limit, taken = resource.getrlimit(resource.RLIMIT_NOFILE), []
+    highest = max(map(int, os.listdir("/dev/fd")))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (highest + 3, limit[1]))
+    try:
+        with suppress(OSError):
+            while True:
+                taken.append(os.dup(0))
+        yield
+    finally:
+        for number in taken:
+            os.close(number)
+        resource.setrlimit(resource.RLIMIT_NOFILE, limit)
 
 
 def oldest(link: Link) -> Link:

@@ -7,7 +7,7 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from ipaddress import ip_network
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from teleop.messages.topics import Role
 from teleop.security import CertificateRole, Identity
 from teleop.security.credentials import create_local_credentials
 from tests.rogue import Rogue
-from tests.teleop.link.bench import await_refusals, wait_until
+from tests.teleop.link.bench import await_refusals, no_descriptor_left, wait_until
 
 STRANGER = """
 import encodings.idna, os, socket, ssl, sys, threading, time
@@ -222,23 +222,6 @@ def test_the_newest_sources_are_in_a_filter_that_is_full():
     program = b"".join(packet_filter.build_filter(4, blocked, []))
     assert b"".join(packet_filter._build_drop(ip_network("198.18.249.1"), [])) in program
     assert b"".join(packet_filter._build_drop(ip_network("198.18.0.1"), [])) not in program
-
-
-@contextmanager
-def no_descriptor_left():
-    """Take all descriptors that this process may have."""
-    limit, taken = resource.getrlimit(resource.RLIMIT_NOFILE), []
-    highest = max(map(int, os.listdir("/dev/fd")))
-    resource.setrlimit(resource.RLIMIT_NOFILE, (highest + 3, limit[1]))
-    try:
-        with suppress(OSError):
-            while True:
-                taken.append(os.dup(0))
-        yield
-    finally:
-        for number in taken:
-            os.close(number)
-        resource.setrlimit(resource.RLIMIT_NOFILE, limit)
 
 
 def test_nothing_is_forgotten_when_no_descriptor_is_left():

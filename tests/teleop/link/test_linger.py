@@ -1,7 +1,5 @@
 """Closing a connection never waits, not even if a process had no file descriptor left."""
 
-import os
-import resource
 import socket
 import struct
 from types import SimpleNamespace
@@ -9,6 +7,7 @@ from types import SimpleNamespace
 import zenoh
 
 from teleop.link import network
+from tests.teleop.link.bench import no_descriptor_left
 
 ON = struct.pack("ii", 1, 10)
 
@@ -26,18 +25,8 @@ def test_a_connection_does_not_linger_though_no_descriptor_is_left():
         host, port = end.getsockname()
         link = SimpleNamespace(src=f"tls/{host}:{port}")
         event = SimpleNamespace(link=link, kind=zenoh.SampleKind.PUT)
-        limit, taken = resource.getrlimit(resource.RLIMIT_NOFILE), []
-        highest = max(map(int, os.listdir("/dev/fd")))
-        resource.setrlimit(resource.RLIMIT_NOFILE, (highest + 1, limit[1]))
-        try:
-            while True:
-                taken.append(os.dup(server.fileno()))
-        except OSError:
+        with no_descriptor_left():
             network._handle_link_event(event)
-        finally:
-            for number in taken:
-                os.close(number)
-            resource.setrlimit(resource.RLIMIT_NOFILE, limit)
         assert (lingers(end), lingers(other)) == (False, True)
         end.send(b"still open")
         end.close()

@@ -7,6 +7,7 @@ import time
 from contextlib import ExitStack
 
 import pytest
+import zenoh
 
 from teleop.link import Link
 from teleop.link import roster as roster_module
@@ -20,8 +21,7 @@ from teleop.security.credentials import create_local_credentials
 from teleop.security.handshake import Handshake
 from teleop.security.keyring import ADDRESSEES
 from teleop.security.presence import RoleStage, Token
-from tests.rogue import Rogue
-from tests.teleop.link.bench import await_refusals, pump, session, wait_until
+from tests.teleop.link.bench import await_refusals, pump, rogue_of, session, wait_until
 
 SILENT = "that does not answer: it hangs, or somebody plays its token back"
 
@@ -39,19 +39,9 @@ def recorded(role, nonce, relayed=False):
     return token.to_key("test").replace("/@/", "/@/relay/") if relayed else token.to_key("test")
 
 
-def rogue_of(config, count):
-    rogue = Rogue(
-        [config.slave, config.master],
-        "test",
-        create_local_credentials("test", CertificateRole.ROUTER).build_tls_settings(),
-    )
-    wait_until(lambda: rogue.connected(count))
-    return rogue
-
-
 @pytest.mark.usefixtures("short_patience")
 def test_recorded_tokens_evict_and_displace_nobody(config):
-    with session(config, Role.SLAVE, Role.MASTER) as (slave, master), rogue_of(config, 2) as rogue:
+    with session(config, Role.SLAVE, Role.MASTER) as (slave, master), rogue_of(config) as rogue:
         pump(master, slave)
         for n in range(1, ADDRESSEES + 2):  # more than a message has tags
             for role in (Role.MASTER, Role.SLAVE, Role.REMOTE):
@@ -69,7 +59,7 @@ def test_recorded_tokens_evict_and_displace_nobody(config):
 @pytest.mark.usefixtures("short_patience")
 def test_recorded_tokens_keep_nobody_out(config):
     """They stand before the pair comes, older and newer ones, more than are kept."""
-    with Link(config, "test", Role.SLAVE) as slave, rogue_of(config, 1) as rogue:
+    with Link(config, "test", Role.SLAVE) as slave, rogue_of(config, count=1) as rogue:
         for n in range(1, GROUP_TOKENS_MAX + 17):
             rogue.announce_key(recorded(Role.MASTER, n + (n % 2) * 2**63))
         with Link(config, "test", Role.MASTER) as master:
@@ -87,7 +77,7 @@ def test_a_copy_of_a_living_token_outlives_its_process_by_seconds_only(config):
         master = Link(config, "test", Role.MASTER)
         with master:
             pump(master, slave)
-            rogue = ends.enter_context(rogue_of(config, 2))
+            rogue = ends.enter_context(rogue_of(config))
             for key in rogue_tokens(rogue, master):
                 rogue.announce_key(key)
             time.sleep(0.1)
@@ -116,19 +106,20 @@ def test_a_challenge_is_answered_to_genuine_askers_only(config):
         genuine = recorded(Role.MASTER, 5)
         challenge = bytes(CHALLENGE_BYTES)
 
-        def answers(role, token, subject=slave.nonce, timeout=0.2):
+        def answer(role, token, subject=slave.nonce, timeout=0.2):
             payload = challenge + subject.to_bytes(8, "little") + token.encode()
             key = build_challenge_key("test", role, slave.nonce)
-            replies = list(asking.get(key, payload=payload, timeout=timeout))
-            return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+            at_once = zenoh.ConsolidationMode.NONE
+            replies = asking.get(key, payload=payload, timeout=timeout, consolidation=at_once)
+            return next((r.ok.payload.to_bytes() for r in replies if r.ok is not None), None)
 
-        wait_until(lambda: bool(answers("master", genuine)))
-        first, again = (answers("master", genuine, timeout=5.0) for _ in range(2))
+        wait_until(lambda: bool(answer("master", genuine)))
+        first, again = (answer("master", genuine, timeout=5.0) for _ in range(2))
         assert first == again  # of the same challenge
-        assert not answers("viewer", genuine)
-        assert not answers("master", genuine, subject=5)  # it has not proven itself
-        assert not answers("master", genuine[:-3] + "AAA")
-        assert not answers("master", recorded(Role.MASTER, 5).rsplit("/", 1)[0])
-        assert not answers("*", genuine)
+        assert not answer("viewer", genuine)
+        assert not answer("master", genuine, subject=5)  # it has not proven itself
+        assert not answer("master", genuine[:-3] + "AAA")
+        assert not answer("master", recorded(Role.MASTER, 5).rsplit("/", 1)[0])
+        assert not answer("*", genuine)
         for junk in ("", "/", "teleop/test/@/master", "\0" * 3000):
-            assert not answers("master", junk)
+            assert not answer("master", junk)

@@ -16,7 +16,7 @@ from teleop.remote.request_listener import RESET, RequestListener
 from teleop.security import CertificateRole
 from teleop.security.credentials import create_local_credentials
 from tests.rogue import ENGAGED, POSITION_AT, STATE_AT, Rogue, forged
-from tests.teleop.link.bench import await_refusals, pump, session, wait_until
+from tests.teleop.link.bench import await_refusals, pump, rogue_of, session, wait_until
 
 FAR = struct.pack("<8d", *(0.014,) * 8)  # [m] a position to pull the tip to
 ENGAGE = ((STATE_AT, struct.pack("<I", ENGAGED)), (POSITION_AT, FAR))
@@ -28,16 +28,6 @@ def pair(config):
         master.subscribe_latest(STATE)
         slave.subscribe_latest(COMMAND)
         yield slave, master
-
-
-def rogue_of(config, role, count=2):
-    tls = create_local_credentials("test", role).build_tls_settings()
-    rogue = Rogue([config.slave, config.master], "test", tls)
-    for topic in ("command", "state"):
-        rogue.listen(topic)
-    wait_until(lambda: rogue.connected(count))
-    time.sleep(0.2)
-    return rogue
 
 
 def capture(rogue, master, slave):
@@ -63,7 +53,7 @@ def goes_on(slave, master):
 
 def test_forged_and_played_back_messages_move_nothing(pair, config):
     slave, master = pair
-    with rogue_of(config, CertificateRole.ROUTER) as rogue:
+    with rogue_of(config) as rogue:
         capture(rogue, master, slave)
         command, tags = rogue.heard["command"][-1]
         state, _ = rogue.heard["state"][-1]
@@ -90,14 +80,14 @@ def test_forged_and_played_back_messages_move_nothing(pair, config):
 def test_commands_of_an_earlier_run_mean_nothing_to_a_new_slave(config):
     with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
         slave.subscribe_latest(COMMAND)
-        with rogue_of(config, CertificateRole.ROUTER) as rogue:
+        with rogue_of(config) as rogue:
             capture(rogue, master, slave)
             wait_until(lambda: any("/@/master/" in key for key in rogue.tokens))
             old = rogue.heard["command"][-1], rogue.token_of("master")
     (command, tags), token = old
     with Link(config, "test", Role.SLAVE) as slave:
         slave.subscribe_latest(COMMAND)
-        with rogue_of(config, CertificateRole.ROUTER, count=1) as rogue:
+        with rogue_of(config, count=1) as rogue:
             rogue.announce_key(token)  # genuine, but its process is gone
             for _ in range(5):
                 rogue.put("command", command, tags)
@@ -113,7 +103,7 @@ def test_commands_of_an_earlier_run_mean_nothing_to_a_new_slave(config):
 
 def test_forged_tokens_are_refused_in_words_and_evict_nobody(pair, config):
     slave, master = pair
-    with rogue_of(config, CertificateRole.ROUTER) as rogue:
+    with rogue_of(config) as rogue:
         wait_until(lambda: any("/@/master/" in key for key in rogue.tokens))
         proof = rogue.token_of("master").rsplit("/", 1)[1]
         for role in ("master", "slave", "remote"):
@@ -141,7 +131,7 @@ def test_stops_resets_and_settings_need_a_supervisor(pair, config):
     slave, master = pair
     requests = {link: RequestListener(link) for link in pair}
     time.sleep(0.2)
-    with rogue_of(config, CertificateRole.ROUTER) as rogue:
+    with rogue_of(config) as rogue:
         for sender in (master.nonce, slave.nonce, 12345):
             for action in range(4):
                 rogue.stop(LAYOUT, sender, action, side=int(Role.SLAVE))
@@ -212,7 +202,7 @@ def test_a_lost_number_is_not_taken_by_somebody_else(pair, config):
     twin._token = twin._handshake.prove(
         master._token.__class__(Role.MASTER, LAYOUT, master.nonce, master._token.stage)
     )
-    with rogue_of(config, CertificateRole.ROUTER) as rogue:
+    with rogue_of(config) as rogue:
         rogue.announce_key(twin._token.to_key("test"))
         await_refusals(slave.refusals, "takes the number")
         goes_on(slave, master)

@@ -1,8 +1,5 @@
 """The diagnosis of a measured bench: a session with two load cells, and no travel."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,21 +8,15 @@ from estimator.diagnosis.api import diagnose_records
 from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
 
-ROOT = os.environ.get("TELEOP_SHARED_DATA")
-DATA = Path(ROOT) if ROOT else Path(__file__).resolve().parents[5] / "shared" / "data"
-SESSION = DATA / "sheath-bench" / "session1.csv"
 PLAIN = 0.467  # [N] that the symmetric law leaves, fitted to all of it
 
-pytestmark = [
-    pytest.mark.measured,
-    pytest.mark.slow,
-    pytest.mark.skipif(not SESSION.exists(), reason=f"no measured data at {DATA}"),
-]
+pytestmark = [pytest.mark.measured, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")
-def found():
-    table = np.genfromtxt(SESSION, delimiter=",", names=True)
+def found(measured_data):
+    session = measured_data / "sheath-bench" / "session1.csv"
+    table = np.genfromtxt(session, delimiter=",", names=True)
     signals = {name: table[f"{name}_N"] for name in ("proximal_tension", "distal_tension")}
     return diagnose_records([prepare_record(table["time_s"], signals)], workers=2)
 

@@ -1,8 +1,6 @@
 """One model gives one error: in a diagnosis, by `teleop estimate`, and played as the rig."""
 
 import json
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,9 +21,6 @@ GAIN, RIVAL = "distal_tension_gain", "proximal_tension_gain"
 SPIKE = 4.0  # [N]
 SPIKES = {"proximal_tension": (120, 431, 900), "distal_tension": (77, 300, 611, 905)}
 START = 100.0  # [s] of the second file
-ROOT = os.environ.get("TELEOP_SHARED_DATA")
-DATA = Path(ROOT) if ROOT else Path(__file__).resolve().parents[5] / "shared" / "data"
-SESSION = DATA / "sheath-bench" / "session1.csv"
 
 
 def write(path, data, start, seed):
@@ -169,11 +164,11 @@ def test_a_cause_that_is_not_as_good_is_refused(tables):
 
 @pytest.mark.slow
 @pytest.mark.measured
-@pytest.mark.skipif(not SESSION.exists(), reason=f"no measured data at {DATA}")
-def test_measured_data_have_one_error(tmp_path):
-    found = est.diagnose(read_table(SESSION, zero_errors=["distal_tension"]), [GAIN])
+def test_measured_data_have_one_error(measured_data, tmp_path):
+    session = measured_data / "sheath-bench" / "session1.csv"
+    found = est.diagnose(read_table(session, zero_errors=["distal_tension"]), [GAIN])
     model = saved(found, tmp_path / "model.yaml")
     error = found.forces[0].after.rmse
     assert error == pytest.approx(found.after.fit["distal_tension"].rmse, rel=0.03)
-    assert estimated(SESSION, model, tmp_path)["rmse_N"] == pytest.approx(error, rel=1e-6)
-    assert played(SESSION, model)["rmse_N"] == pytest.approx(error, rel=1e-6)
+    assert estimated(session, model, tmp_path)["rmse_N"] == pytest.approx(error, rel=1e-6)
+    assert played(session, model)["rmse_N"] == pytest.approx(error, rel=1e-6)
