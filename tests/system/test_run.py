@@ -9,8 +9,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
 
 from studies.testbed.processes import (
     OURS,
@@ -23,7 +21,6 @@ from studies.testbed.processes import (
 from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.topics import HAND, TENDONS
 from teleop.recording.reader import read_columns
-from teleop.recording.scan import to_channel_name
 from teleop.session.state_machine import State
 from tests.root import ROOT
 
@@ -115,23 +112,6 @@ def test_a_second_master_and_a_second_run_of_the_name_are_refused_in_a_line(reco
         (line,) = (recorded.folder / f"{name}.log").read_text().splitlines()
         assert re.search("has a (master|slave) already", line)
     assert not (recorded.folder / "second").exists()
-
-
-def test_an_independent_reader_decodes_the_recording(recorded):
-    (recording,) = recorded.folder.glob("*.mcap")
-    ours = read_columns(recording, TENDONS.name)
-    with recording.open("rb") as stream:
-        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        decoded = reader.iter_decoded_messages(
-            topics=[to_channel_name(TENDONS.name)], log_time_order=False
-        )
-        theirs = [message for _, _, _, message in decoded]
-    assert len(theirs) == len(ours) > 500
-    for row, message in zip(ours[::100], theirs[::100], strict=True):
-        for name in ("sequence", "stamp_ns", "time_s"):
-            assert getattr(message, name) == row[name]
-        for name in ("proximal_tension", "distal_tension", "bench_distal_displacement"):
-            np.testing.assert_array_equal(list(getattr(message, name)), row[name])
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def has_colour(frame, colour, tolerance=6):
 )
 def test_every_layout_shows_the_state_and_the_force_on_its_background(drawn, layout, theme):
     figure = ClipFigure(drawn, layout, theme, SIZE, 0)
-    for moment, state in ((0.2, "ready"), (0.9, "engaged"), (0.25, "ready")):
+    for moment, state in ((0.2, "ready"), (0.9, "engaged")):
         frame = figure.draw(moment)
         assert frame.shape == (SIZE[1], SIZE[0], 3)
         assert has_colour(frame, colours.STATES[state])

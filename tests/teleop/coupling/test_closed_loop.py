@@ -70,7 +70,7 @@ def gained(record, bilateral, gain=HARD):
     return (record.work - damping * record.dragged).max() * gain[1] / gain[0]
 
 
-@cases(("wall", 0.300), ("hard wall", 0.0))
+@cases(("wall", 0.300))
 def test_over_any_network_passivity_is_passive_and_settles(met, round_trip):
     record = reach(PASSIVITY, MET[met], round_trip)
     assert_engaged(record)
@@ -80,7 +80,7 @@ def test_over_any_network_passivity_is_passive_and_settles(met, round_trip):
     assert span(record.force) < 0.25
 
 
-@cases(("wall", 0.300), ("tissue", 0.0))
+@cases(("wall", 0.300))
 def test_over_any_network_waves_are_passive_and_settle(met, round_trip):
     record = reach(WAVE, MET[met], round_trip, SOFT, rest=2.5)
     assert_engaged(record)

@@ -52,15 +52,6 @@ def test_columns_that_may_be_missing_are_none_and_further_ones_are_kept(path):
     assert set(table.columns()) == {"time_s", "proximal_tension_N", "temperature", "note"}
 
 
-def test_columns_of_other_names(path):
-    path.write_text("t,Ta,Tb,q\n0,1,2,3\n0.1,4,5,6\n")
-    names = Columns("t", "Tb", proximal_displacement=None)
-    table = read_table(path, names)
-    assert table.proximal_tension.tolist() == [2.0, 5.0]
-    assert table.proximal_displacement is None
-    assert set(table.extra) == {"Ta", "q"}
-
-
 def test_integers_and_floats_of_any_width_from_parquet(tmp_path):
     path = tmp_path / "data.parquet"
     columns = {

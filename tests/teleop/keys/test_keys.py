@@ -49,24 +49,13 @@ def test_only_a_router_is_for_all_sessions():
         Identity.parse("master.*")
 
 
-def test_issued_keys_are_believed(tmp_path):
-    folder = make_keys(tmp_path)
-    for role in CertificateRole:
-        assert load(folder, role).identity.role is role
-
-
 def test_every_flaw_is_named(tmp_path, authority):
     folder = make_keys(tmp_path / "keys", authority=authority)
     now = datetime.now(UTC)
     other = Authority.create("another", 2)
-    stranger, viewer = (
-        MASTER._replace(session="other"),
-        MASTER._replace(role=CertificateRole.VIEWER),
-    )
+    viewer = MASTER._replace(role=CertificateRole.VIEWER)
     for issuer, identity, days, start, complaint in (
         (authority, MASTER, -0.5, now - timedelta(days=1), r"expired on .* issue a new one"),
-        (authority, MASTER, 1.0, now + timedelta(hours=1), r"valid from .* check the clock"),
-        (authority, stranger, 1.0, None, r"session 'other', not 'test'"),
         (authority, viewer, 1.0, None, r"viewer, this process is a mas"),
         (other, MASTER, 1.0, None, r"of another authority"),
     ):

@@ -42,12 +42,6 @@ def test_bad_addresses_are_refused(text):
         LinkConfig(slave=text)
 
 
-@pytest.mark.parametrize("protocol", ["tcp", "tls"])
-def test_an_old_address_is_refused_with_the_new_form(protocol):
-    with pytest.raises(ValueError, match=rf"^slave: write 127.0.0.1:7448 without {protocol}/"):
-        LinkConfig(slave=f"{protocol}/127.0.0.1:7448")
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [

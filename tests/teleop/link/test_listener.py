@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop.link import MessageCounts, listener
-from teleop.link.listener import BACKLOG_S, CAPACITY_MIN, Listener, MessageQueue, compute_capacity
+from teleop.link.listener import CAPACITY_MIN, Listener, MessageQueue, compute_capacity
 from teleop.messages.messages import EmergencyStop
-from teleop.messages.topics import COMMAND, EVENT, LEDGER, STATE, STOP, TOPICS
+from teleop.messages.topics import COMMAND, EVENT, LEDGER, STATE, STOP
 from tests.teleop.link.bench import packed
 from tests.tick.memory_link import Sample
 
@@ -77,11 +77,6 @@ def test_counts_are_exact_with_several_threads_putting_while_one_takes():
         taken[arrival.topic.name] += 1
     for topic in (COMMAND, EVENT):
         assert taken[topic.name] + queue.count_dropped(topic) == count * threads // 2
-
-
-def test_every_topic_has_room_for_a_slow_reader():
-    for topic in TOPICS:
-        assert compute_capacity(topic) >= max(BACKLOG_S * topic.rate_hz, CAPACITY_MIN), topic
 
 
 def test_a_flood_on_one_topic_displaces_nothing_of_another():

@@ -89,25 +89,6 @@ def test_without_a_peer_publishing_is_quiet_and_the_peer_is_found_when_it_comes(
             pump(master, slave)
 
 
-def test_what_nobody_subscribes_to_is_skipped_and_leaves_a_gap(config):
-    with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
-        assert master.skip_unsubscribed(COMMAND)
-        slave.subscribe_latest(COMMAND)
-        wait_until(lambda: not master.skip_unsubscribed(COMMAND))
-        first = pump(master, slave).message
-        for subscriber in slave._subscribers:
-            subscriber.undeclare()
-        slave._latest.clear()
-        wait_until(lambda: master.skip_unsubscribed(COMMAND))
-        assert master.skip_unsubscribed(COMMAND)
-        slave.subscribe_latest(COMMAND)
-        wait_until(lambda: not master.skip_unsubscribed(COMMAND))
-        again = pump(master, slave).message
-        assert first is not None
-        assert again is not None
-        assert again.sequence >= first.sequence + 3
-
-
 def test_a_viewer_gets_copies_of_fast_topics_and_calls_the_rest_not_lost(config):
     """At 500 Hz: 100 a second; nobody but the viewer listens, so the rest is not composed."""
     with (

@@ -89,7 +89,7 @@ def test_what_cannot_be_diagnosed_is_refused_in_a_line(files, words, message):
 def test_a_recording_is_diagnosed_with_the_arm_of_its_own_config(tmp_path, capsys):
     scale = MotionScale(stroke=0.006, period=3.0)
     config = arms.describe_rig(SHAPE, arms.Change(), seed=3)
-    run_ = simulate(config, "sine", duration=16.0, rate=100.0, scale=scale, keep=2.0)
+    run_ = simulate(config, "sine", duration=12.0, rate=100.0, scale=scale, keep=2.0)
     columns = run_.to_columns()
     travel = 0.005 * columns["joint_angle_2_rad"] - 0.004 * columns["joint_angle_1_rad"]
     assert columns["distal_displacement_3_m"] == pytest.approx(travel, abs=1e-9)

@@ -106,14 +106,6 @@ def test_the_unexplained_is_said_with_what_it_looks_like(nothing, found):
     )
 
 
-@pytest.mark.slow
-def test_a_bench_without_a_cause_has_a_page_and_json_too(nothing):
-    one, verdict = nothing, Verdict.UNEXPLAINED
-    one = one._replace(verdict=verdict)
-    assert report_text.format_verdict(one) in html_report.render(one, ["a.csv"], {})
-    assert json_report.build_report(one, ["a.csv"], 1.0, {})["verdict"] == verdict
-
-
 def test_samples_that_are_kept_out_are_said_by_file(found):
     (record,) = found.dataset.records
     spikes = DataIssue("single-sample spikes", "distal_tension", 3, 1.25)
