@@ -23,7 +23,7 @@ from teleop.view.columns import decode
 from teleop.view.foxglove_server import FoxgloveServer
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
-from tests.teleop.view_session import CONFIG, Session
+from tests.teleop.view.made_session import CONFIG, Session
 
 NOBODY = 65534
 WRITES = (

@@ -14,7 +14,7 @@ from teleop.view.colours import STATES
 from teleop.view.columns import decode
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
-from tests.teleop.view_session import CONFIG, Session
+from tests.teleop.view.made_session import CONFIG, Session
 
 pytestmark = [
     pytest.mark.slow,  # minutes of drawing by software; test_view_access opens a page of it too

@@ -12,13 +12,7 @@ from teleop.view.colours import UNKNOWN, to_rgba
 from teleop.view.columns import build_columns, decode, subsample_rows
 from teleop.view.scene_geometry import compute_centreline
 from teleop.view.scene_sheaths import compute_friction_profile, compute_tension_band
-from tests.teleop.view_session import T0, Session
-
-
-@pytest.fixture(scope="module")
-def session():
-    return Session()
-
+from tests.teleop.view.made_session import T0
 
 # decoding and thinning
 

@@ -36,18 +36,7 @@ from teleop.view.layouts import build_blueprint
 from teleop.view.scene import Scene
 from teleop.view.scene_geometry import PIECES, SEGMENTS, Shape, build_stage
 from teleop.view.sinks import Sink
-from tests.teleop.view_session import CONFIG, T0, Session, read, save
-
-
-@pytest.fixture(scope="module")
-def session():
-    return Session()
-
-
-@pytest.fixture(scope="module")
-def saved(session, tmp_path_factory):
-    """The session fed in blocks of 40 ms, and read back."""
-    return save(session.messages, tmp_path_factory.mktemp("view") / "session.rrd")
+from tests.teleop.view.made_session import CONFIG, T0, Session, read, save
 
 
 @pytest.fixture(scope="module")

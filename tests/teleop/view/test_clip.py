@@ -16,14 +16,9 @@ from teleop.view.clip_canvas import THEMES
 from teleop.view.clip_figure import ClipFigure
 from teleop.view.colours import to_rgb
 from tests.teleop.recorded import record
-from tests.teleop.view_session import CONFIG, T0, Session
+from tests.teleop.view.made_session import CONFIG, T0
 
 SIZE = (640, 360)
-
-
-@pytest.fixture(scope="module")
-def session():
-    return Session()
 
 
 @pytest.fixture(scope="module")

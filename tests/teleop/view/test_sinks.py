@@ -27,18 +27,7 @@ from teleop.view.page import BlockBuffer, split_messages
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink, disable_usage_statistics
 from tests.teleop.recorded import record
-from tests.teleop.view_session import CONFIG, T0, Session, read, save
-
-
-@pytest.fixture(scope="module")
-def session():
-    return Session()
-
-
-@pytest.fixture(scope="module")
-def saved(session, tmp_path_factory):
-    return save(session.messages, tmp_path_factory.mktemp("view") / "session.rrd")
-
+from tests.teleop.view.made_session import CONFIG, T0, Session, read, save
 
 # feeding
 
@@ -334,7 +323,7 @@ def test_a_killed_view_leaves_a_readable_file(tmp_path):
     script = (
         "import os, signal, sys, time\n"
         "from pathlib import Path\n"
-        "from tests.teleop.view_session import CONFIG, Session\n"
+        "from tests.teleop.view.made_session import CONFIG, Session\n"
         "from teleop.view.columns import decode\n"
         "from teleop.view.scene import Scene\n"
         "from teleop.view.sinks import Sink\n"

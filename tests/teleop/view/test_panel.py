@@ -21,7 +21,7 @@ from teleop.view.panel import (
 from teleop.view.panel_layout import _GLYPHS
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
-from tests.teleop.view_session import T0, Session, read
+from tests.teleop.view.made_session import T0, Session, read
 
 SURGEON = ViewConfig(layout="surgeon", tension_scale_N=10.0)
 

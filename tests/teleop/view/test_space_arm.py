@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,9 +28,10 @@ from teleop.view.scene import Scene
 from teleop.view.scene_geometry import ARROW, Shape, build_stage
 from teleop.view.sinks import Sink
 from teleop.view.space_arm import HandAxes, build_space_arm, load_arms, solve_tip_forces
-from tests.teleop.view_session import T0, Session, read, save
+from tests.root import ROOT
+from tests.teleop.view.made_session import T0, Session, read, save
 
-NOTES = Path(__file__).parents[2] / "configs" / "notes-arm.yaml"
+NOTES = ROOT / "configs" / "notes-arm.yaml"
 POSE = (0.3, -0.4, 0.7, 0.2)  # [rad] of the joints of NOTES, its gripper's last
 RADIUS = 0.005  # [m] of each of them
 CONFIG = ViewConfig()
