@@ -16,10 +16,10 @@ from matplotlib.figure import Figure
 
 from estimator.adaptation import AdaptedRun, run_adapting
 from estimator.array_types import Array
-from estimator.drawing import STYLE
+from estimator.figure_style import STYLE
 from estimator.online import online
 from estimator.online.online import Estimates
-from estimator.records import to_struct
+from estimator.structs import to_struct
 from slave.config import SlaveConfig, load_tendon_configs
 from slave.rigs.simulated import SimulatedRigConfig, build_joint
 from slave.simulation.environment import TissueConfig

@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from estimator.array_types import Array
-from estimator.drawing import STYLE
+from estimator.figure_style import STYLE
 from studies.transparency import zwidth
 from studies.transparency.hand import DT
 from studies.transparency.rig import TENDON, Rig, build_wall

@@ -45,13 +45,13 @@ from estimator.measured_data import Samples as Samples
 from estimator.online.estimator import Estimator as Estimator
 from estimator.online.online import Estimates as Estimates
 from estimator.online.tendon_model import TendonModel as TendonModel
-from estimator.pair.pair import PairRecord as PairRecord
 from estimator.pair.pair_fit import PairError as PairError
+from estimator.pair.pair_model import PairRecord as PairRecord
 from estimator.pair.pair_study import PairStudy as PairStudy
 from estimator.pair.pair_study import study_pair as study_pair
-from estimator.results import plot_result as plot_result
-from estimator.results import show_result as show_result
-from estimator.results import summarise_result as summarise_result
+from estimator.result_display import plot_result as plot_result
+from estimator.result_display import show_result as show_result
+from estimator.result_display import summarise_result as summarise_result
 from estimator.routing.routing import Routing as Routing
 from estimator.routing.routing import RoutingError as RoutingError
 from estimator.routing.tensions import JointEstimator as JointEstimator

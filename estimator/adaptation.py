@@ -43,8 +43,8 @@ from estimator.online import online
 from estimator.online.estimator_state import EstimatorState, PreparedTendon
 from estimator.online.online import Estimates, TendonModel
 from estimator.online.tendon_estimate import INVALID_INPUT, UNINITIALISED, TendonEstimate
-from estimator.records import F64, I64, Field, Flag, Struct, StructArray, view_struct
 from estimator.sensing_loop import AGE_MAX_S, LoopState, measure_loop_friction
+from estimator.structs import F64, I64, Field, Flag, Struct, StructArray, view_struct
 
 FACTOR_COUNT, FACTOR_MIN, FACTOR_MAX = 27, 0.5, 1.8
 FACTORS = np.geomspace(FACTOR_MIN, FACTOR_MAX, FACTOR_COUNT)  # of friction

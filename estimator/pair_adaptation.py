@@ -28,7 +28,7 @@ from typing import Annotated
 
 import numpy as np
 
-from estimator import signals
+from estimator import noise_treatment
 from estimator.adaptation import (
     APART,
     CELLS,
@@ -59,7 +59,7 @@ from estimator.online import online
 from estimator.online.estimator_state import EstimatorState, PreparedTendon
 from estimator.online.online import Estimates, TendonModel
 from estimator.online.tendon_estimate import INVALID_INPUT, TendonEstimate
-from estimator.records import F64, Field, Flag, Struct, StructArray
+from estimator.structs import F64, Field, Flag, Struct, StructArray
 
 # log factors of the thirds of a and b, relative errors of L/EA of a and b, the constant, and the
 # friction of the joint
@@ -247,7 +247,7 @@ def _drive_housing(
     """Bring T_in of the profile to the average, behind a dead band (T10)."""
     state.sigma = sigma = math.sqrt(estimator.tension_variance)
     T_in = max(estimator.mean_tension + prepared.tables[_DRAG], LEAST_TENSION)
-    drive = signals.update_play(state.drive, T_in, TENSION_BAND * sigma)
+    drive = noise_treatment.update_play(state.drive, T_in, TENSION_BAND * sigma)
     noise = (constants.compliance * sigma) ** 2 + prepared.displacement_noise**2
     state.travel_band = TRAVEL_BAND * math.sqrt(noise)
     if drive != state.drive:
@@ -321,7 +321,7 @@ def _find_joint_travel(a: PairTendon, q_a: float, b: PairTendon, q_b: float) -> 
 def _move_tip(state: PairTendon, q: float) -> float:
     """Return the tip's travel by this tendon [m] in this sample, beyond its dead band."""
     before = state.tip
-    state.tip = signals.update_play(before, q - state.elongation, state.travel_band)
+    state.tip = noise_treatment.update_play(before, q - state.elongation, state.travel_band)
     return state.tip - before
 
 
@@ -357,7 +357,7 @@ def _find_slide(
     if math.isnan(state.travel):
         state.travel = travel
     before = state.travel
-    state.travel = signals.update_play(before, travel, TURN_BAND)
+    state.travel = noise_treatment.update_play(before, travel, TURN_BAND)
     if state.travel == before:
         return 0.0
     direction = math.copysign(1.0, state.travel - before)

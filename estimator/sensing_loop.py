@@ -14,8 +14,8 @@ from typing import Annotated
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.records import F64, Field, Struct
-from estimator.signals import update_average, update_play
+from estimator.noise_treatment import update_average, update_play
+from estimator.structs import F64, Field, Struct
 
 AVERAGE_S = 0.01  # [s] of both tensions
 BAND = 0.1  # [N] of T_2: less is noise

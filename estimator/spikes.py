@@ -4,7 +4,7 @@ import numpy as np
 
 from estimator.array_types import Array, Mask
 from estimator.measured_data import MeasuredData, Samples
-from estimator.signals import estimate_noise_sigma
+from estimator.noise_treatment import estimate_noise_sigma
 
 SCATTER_FACTOR = 8.0  # the local scatter, by which a sample is off both its neighbours
 SCATTER_WINDOW = 101  # samples of the local scatter

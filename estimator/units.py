@@ -1,7 +1,7 @@
 """Units of a record, linear or rotary, and quantities in them.
 
 The diagnosis speaks of tension and travel, in newtons and metres, whatever the record: torque and
-angle are as good, since no law changes by them (estimator.diagnosis.measured_data). Here numbers
+angle are as good, since no law changes by them (estimator.diagnosis.record). Here numbers
 get the record's own units and words.
 """
 

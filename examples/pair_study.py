@@ -8,7 +8,7 @@ The records are simulated with the model of a pair, and noise.
 import numpy as np
 
 import estimator as est
-from estimator.pair.pair import PairModel, simulate_by_command
+from estimator.pair.pair_model import PairModel, simulate_by_command
 
 true = PairModel(
     friction=0.3, growth=0.2, compliance=0.5, bedding=0.0,

@@ -15,7 +15,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.records import F64, Flag, Struct
+from estimator.structs import F64, Flag, Struct
 from master.hand_input import Axes, HandInput, is_all_finite
 from teleop import coupling
 from teleop.coupling import BilateralSettings, Side

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.records import StructArray
+from estimator.structs import StructArray
 from master import loop
 from teleop.config.extension_calls import CheckedExtension
 from teleop.coupling.extension import FORCE_MAX, SIGNAL_MAX, CouplingExtension, HandPort

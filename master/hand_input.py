@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.records import I64, Field, Flag, Struct, StructArray
+from estimator.structs import I64, Field, Flag, Struct, StructArray
 from master.device import HandState
 from teleop.messages.messages import MAX_JOINTS
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.records import I64, Field, Flag, Struct, StructArray, view_struct
+from estimator.structs import I64, Field, Flag, Struct, StructArray, view_struct
 from master import feedback
 from master.feedback import FeedbackConfig
 from master.hand_input import Axes, HandInput

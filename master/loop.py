@@ -15,7 +15,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.records import I64, Flag, Struct, StructArray, view_struct
+from estimator.structs import I64, Flag, Struct, StructArray, view_struct
 from master import coupling_adapter, feedback, gate, hand_map, operator, workspace
 from master.coupling_adapter import RenderMemory
 from master.hand_input import Axes, HandInput, is_all_finite

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.records import F64, U64, Field, Flag, Struct, StructArray, view_struct
+from estimator.structs import F64, U64, Field, Flag, Struct, StructArray, view_struct
 from master.hand_input import Axes, HandInput, fill_axes
 from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.messages.messages import MAX_JOINTS, SlaveState

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from estimator.records import StructArray, view_struct
+from estimator.structs import StructArray, view_struct
 from master import live_settings, loop
 from master.config import MasterConfig
 from master.coupling_extension import HandEnd

@@ -3,7 +3,7 @@
 from typing import Annotated
 
 from estimator.array_types import Array
-from estimator.records import (
+from estimator.structs import (
     F64,
     Field,
     Struct,

@@ -48,7 +48,7 @@ from estimator.kinematics.inverse import (
 )
 from estimator.kinematics.rotations import multiply, to_quaternion
 from estimator.kinematics.virtual_fixtures import Fixtures, build_fixtures, write_fixture_torque
-from estimator.records import F64, I64, Field, Struct, StructArray, view_struct
+from estimator.structs import F64, I64, Field, Struct, StructArray, view_struct
 from master.hand_input import Axes, HandInput
 from master.hand_map import VelocityMap, pass_dead_band
 from master.loop import MasterMemory, init_master

@@ -12,7 +12,7 @@ starts at the hand and moves back with it, so there is no force step.
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.records import F64, I64, Flag, Struct
+from estimator.structs import F64, I64, Flag, Struct
 from master.hand_input import Axes, HandInput
 from master.operator import OperatorSettings
 

@@ -24,7 +24,7 @@ from estimator.compiled import jit_compile
 from estimator.law.tables import K as _K
 from estimator.online.online import TendonModel
 from estimator.pair_adaptation import PairAdaptation, observe_pair
-from estimator.records import StructArray
+from estimator.structs import StructArray
 from slave.calibration.monitor import TendonMonitor
 from slave.tendons import EstimatedTendons, RigLayout
 

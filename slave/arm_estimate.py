@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from estimator.kinematics.arm import PreparedArm, prepare_arm
 from estimator.kinematics.forward import write_weight_torque
-from estimator.records import StructArray
 from estimator.routing.routing import PreparedRouting, Routing, prepare
 from estimator.routing.sheath_end import SheathPair, estimate_sheath_ends, start_sheath_end
 from estimator.routing.tensions import add_torques, advance, open_tensions
+from estimator.small_arrays import copy_values
+from estimator.structs import StructArray
 from slave.control.joint import JointEstimates, compute_weight
 from slave.tendons import EstimatedTendons, RigLayout, TendonGroup
 from teleop.config.arm import (

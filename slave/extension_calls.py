@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.records import StructArray
+from estimator.structs import StructArray
 from slave import loop
 from slave.config import SlaveConfig
 from slave.extensions import ControlInput, HousingSample, TipEstimate

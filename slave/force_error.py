@@ -4,7 +4,7 @@ from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.online import force_error
 from estimator.online.force_error import add_sample
-from estimator.records import StructArray
+from estimator.structs import StructArray
 
 
 @jit_compile

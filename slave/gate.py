@@ -17,7 +17,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.records import F64, Struct, StructArray
+from estimator.structs import F64, Struct, StructArray
 from slave.control.joint import JointEstimates
 from slave.tendons import RigLayout
 from teleop.config.ranges import MAY_BE_INFINITE, build_ranged_field, check_ranges

@@ -8,9 +8,9 @@ import math
 from typing import Annotated
 
 from estimator.array_types import Array
-from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
-from estimator.records import F64, Field, Flag, Struct
+from estimator.small_arrays import copy_values
+from estimator.structs import F64, Field, Flag, Struct
 from teleop.messages.messages import MAX_TENDONS
 
 

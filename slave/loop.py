@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from estimator.online import online
 from estimator.online.tendon_estimate import INVALID_INPUT
-from estimator.records import StructArray, to_struct_array, view_struct
+from estimator.small_arrays import copy_values
+from estimator.structs import StructArray, to_struct_array, view_struct
 from slave import control, fault_detection, gate, initial_position
 from slave.adaptation import TendonAdapter, build_adapter, mute_monitors
 from slave.arm_estimate import ArmEstimator, build_arm_estimator

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
 from estimator.array_types import Array
-from estimator.records import F64, I64, Field, Flag, Struct, build_struct_dtype
+from estimator.structs import F64, I64, Field, Flag, Struct, build_struct_dtype
 from slave import control, fault_detection, gate, initial_position
 from slave.calibration import monitor
 from slave.calibration.degraded_mode import Degradation

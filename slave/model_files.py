@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from estimator import signals
+from estimator import noise_treatment
 from estimator.array_types import Array
 from estimator.law.sheath import ASSUMED_COMPLIANCE
 from estimator.online.extended_model import EffectUse, explain_omission
@@ -119,8 +119,8 @@ def set_noise_from_data(tendon: TendonConfig, tension: Array, travel: Array | No
         return tendon
     return replace(
         tendon,
-        tension_noise=signals.estimate_noise_sigma(tension),
-        displacement_noise=0.0 if travel is None else signals.estimate_noise_sigma(travel),
+        tension_noise=noise_treatment.estimate_noise_sigma(tension),
+        displacement_noise=0.0 if travel is None else noise_treatment.estimate_noise_sigma(travel),
     )
 
 

@@ -18,7 +18,7 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple, cast
 
-from estimator.records import view_struct
+from estimator.structs import view_struct
 from slave import live_settings, loop, model_files
 from slave.adaptation import describe_fixed
 from slave.calibration.file import apply_guide_friction

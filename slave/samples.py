@@ -10,7 +10,7 @@ from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.online import online
 from estimator.online.tendon_estimate import INVALID_INPUT
-from estimator.records import StructArray
+from estimator.structs import StructArray
 from slave import control
 from slave.adaptation import TendonAdapter, adapt_tendons
 from slave.arm_estimate import ArmEstimator, estimate_arm_forces

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from estimator.compiled import jit_compile
 from estimator.law.sheath import Sheath
 from estimator.law.transmission import evaluate_tension
-from estimator.records import StructArray
+from estimator.structs import StructArray
 from slave.adaptation import TendonFriction
 from teleop.messages import messages
 from teleop.messages.messages import MAX_MESSAGE_SECTIONS, MAX_TENDONS, PROFILE_POINTS, pad_values

@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
-from estimator.records import view_struct
+from estimator.structs import view_struct
 from slave import state_messages
 from slave.adaptation import ShapeChange, ShapeWatch, compute_friction
 from slave.calibration import monitor

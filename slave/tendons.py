@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.online.tendon_estimate import TendonEstimate
-from estimator.records import F64, I64, Field, Flag, Struct, StructArray, view_struct
+from estimator.structs import F64, I64, Field, Flag, Struct, StructArray, view_struct
 from teleop.config.arm import RoutingConfig, assemble_tendon_rows
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 

@@ -7,7 +7,7 @@ from importlib import import_module
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.records import StructArray
+from estimator.structs import StructArray
 from slave import loop
 from slave.calibration import run as calibration_run
 from slave.config import SlaveConfig

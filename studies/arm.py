@@ -24,7 +24,7 @@ from estimator.array_types import Array
 from estimator.kinematics.arm import prepare_arm
 from estimator.kinematics.forward import compute_jacobian, compute_tip_pose
 from estimator.kinematics.tip_wrench import compute_tip_wrench
-from estimator.records import view_struct
+from estimator.structs import view_struct
 from slave import loop
 from slave.calibration.file import Calibration, apply_guide_friction
 from slave.calibration.initialisation import initialise

@@ -24,9 +24,9 @@ from estimator.law.transmission import (
     read_profile,
     simulate_tensions,
 )
+from estimator.noise_treatment import Treatment, estimate_noise_sigma
 from estimator.online import online
 from estimator.online.tendon_model import TendonModel
-from estimator.signals import Treatment, estimate_noise_sigma
 from studies.testbed.command import parse_options
 
 SIGMA = 0.03  # [N]

@@ -16,7 +16,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.online.online import TendonModel
-from estimator.records import view_struct
+from estimator.structs import view_struct
 from slave import loop
 from slave.calibration import probing
 from slave.calibration.monitor import MonitorConfig

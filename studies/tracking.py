@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from estimator.compiled import jit_compile
 from estimator.law.sheath import Sheath
 from estimator.online import online
-from estimator.records import StructArray, to_struct_array
+from estimator.structs import StructArray, to_struct_array
 from slave import control, fault_detection, gate
 from slave.control import ControlConfig, ControllerState, JointEstimate
 from slave.fault_detection import FaultDetectionConfig, FaultDetector, MotorChecks

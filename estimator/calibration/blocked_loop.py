@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from estimator.array_types import Array
-from estimator.signals import estimate_noise_sigma
+from estimator.noise_treatment import estimate_noise_sigma
 
 
 class CalibrationError(ValueError):

@@ -17,7 +17,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.calibration.blocked_loop import CalibrationError
 from estimator.fitting import MeasuredValue
-from estimator.signals import estimate_noise_sigma
+from estimator.noise_treatment import estimate_noise_sigma
 
 _MIN_SHARE = 0.3  # of the highest tension; above it the pull has wiped out what was before
 _MIN_SAMPLES = 100

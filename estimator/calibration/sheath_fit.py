@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 from scipy.ndimage import median_filter
 
-from estimator import signals
+from estimator import noise_treatment
 from estimator.array_types import Array
 from estimator.calibration.calibration import (
     Calibration,
@@ -249,7 +249,9 @@ def _fit_both_ends(data: MeasuredData, length: float) -> SheathFit:
         parameters["EA"] = elastic.parameters["axial_stiffness"]
         EA = parameters["EA"].value
     model = _build_model(data, parameters["K"], length, EA)
-    noise = math.hypot(signals.estimate_noise_sigma(data.distal_tension), model.tension_noise)
+    noise = math.hypot(
+        noise_treatment.estimate_noise_sigma(data.distal_tension), model.tension_noise
+    )
     structure = _compute_excess_rms(result.residuals, noise)
     accept, reason = result.accept, result.reason
     if accept and structure > STRUCTURE_MAX * float(data.distal_tension.max()):
@@ -279,8 +281,8 @@ def _build_model(data: MeasuredData, K: IntervalEstimate, length: float, EA: flo
     travel = data.proximal_displacement
     model = TendonModel(
         Sheath.uniform(K.value, length, EA),
-        tension_noise=signals.estimate_noise_sigma(data.proximal_tension),
-        displacement_noise=0.0 if travel is None else signals.estimate_noise_sigma(travel),
+        tension_noise=noise_treatment.estimate_noise_sigma(data.proximal_tension),
+        displacement_noise=0.0 if travel is None else noise_treatment.estimate_noise_sigma(travel),
     )
     error = max(model.friction_error, 0.5 * (K.high - K.low) / K.value)
     return dataclasses.replace(model, friction_error=error)

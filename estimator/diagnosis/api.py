@@ -43,14 +43,6 @@ from estimator.diagnosis.hidden_motion import (
 )
 from estimator.diagnosis.intervals import estimate_intervals
 from estimator.diagnosis.learned import compute_learned_gains, fit_learned_models
-from estimator.diagnosis.measured_data import (
-    Record,
-    RecordError,
-    check_finite_values,
-    is_loop,
-    mark_all_as_train,
-    prepare_record,
-)
 from estimator.diagnosis.outcome import (
     CauseStep,
     Diagnosis,
@@ -58,6 +50,14 @@ from estimator.diagnosis.outcome import (
     RankedCandidate,
     Verdict,
     decide_verdict,
+)
+from estimator.diagnosis.record import (
+    Record,
+    RecordError,
+    check_finite_values,
+    is_loop,
+    mark_all_as_train,
+    prepare_record,
 )
 from estimator.diagnosis.residual_structure import find_residual_dependence
 from estimator.diagnosis.rivals import CauseError
@@ -116,7 +116,7 @@ def diagnose(
     ----------
     data : MeasuredData, Record, or a sequence of them
         Of one bench, with the same channels; they are fitted together. A `Record` is data that
-        `estimator.diagnosis.measured_data.prepare_record` has checked.
+        `estimator.diagnosis.record.prepare_record` has checked.
     effects : iterable of str or Effect
         Candidate causes, by name or from `CATALOGUE`.
     validate : sequence of MeasuredData or Record
@@ -147,8 +147,8 @@ def diagnose(
     Returns
     -------
     Diagnosis
-        With `verdict`, `causes`, `parameters` and `gain`; `estimator.results` has it as text and
-        figures.
+        With `verdict`, `causes`, `parameters` and `gain`; `estimator.result_display` has it as text
+        and figures.
 
     Raises
     ------

@@ -21,7 +21,7 @@ from estimator.diagnosis.arm_model import (
     TendonValues,
     prepare_tendons,
 )
-from estimator.diagnosis.measured_data import RecordError
+from estimator.diagnosis.record import RecordError
 from estimator.diagnosis.scoring import (
     ChannelErrors,
     bootstrap_superiority,

@@ -8,7 +8,7 @@ from estimator.diagnosis.arm import ArmDiagnosis, NamedCause
 from estimator.diagnosis.arm_model import TRAVEL
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import DISTAL_TENSION
-from estimator.text_table import Table
+from estimator.report_table import Table
 from estimator.units import format_quantity
 
 COUNTS = ("One thing is", "Two things are", "Three things are", "Four things are")

@@ -35,7 +35,7 @@ from estimator.diagnosis.fit import (
     guess_record_parameters,
     refit_baseline,
 )
-from estimator.diagnosis.measured_data import Record
+from estimator.diagnosis.record import Record
 from estimator.diagnosis.scoring import (
     ChannelErrors,
     Choice,
@@ -56,8 +56,8 @@ from estimator.effects.effect import (
     PROXIMAL_TENSION,
     Effect,
 )
-from estimator.record_hysteresis import apply_proportional_play, compute_bristle_deflection
-from estimator.signals import apply_play
+from estimator.hysteresis_operators import apply_proportional_play, compute_bristle_deflection
+from estimator.noise_treatment import apply_play
 
 START_FRICTIONS = (0.2, 0.45, 0.8, 1.2, 1.8)
 TIP_SHARES = (0.0, 0.35, 0.75)

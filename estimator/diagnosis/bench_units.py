@@ -12,13 +12,6 @@ from estimator.diagnosis.dataset import (
     Model,
     SimulatedRecord,
 )
-from estimator.diagnosis.measured_data import (
-    UNIT_SCALE,
-    BenchScale,
-    Record,
-    choose_bench_scale,
-    collect_efforts,
-)
 from estimator.diagnosis.outcome import (
     Curve,
     Diagnosis,
@@ -28,6 +21,13 @@ from estimator.diagnosis.outcome import (
     ModelErrors,
     PredictedRecord,
     RankedCandidate,
+)
+from estimator.diagnosis.record import (
+    UNIT_SCALE,
+    BenchScale,
+    Record,
+    choose_bench_scale,
+    collect_efforts,
 )
 from estimator.diagnosis.scoring import Choice, SimpleFit
 from estimator.effects.effect import (

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.diagnosis.baseline import choose_loads, select_applicable_effects
-from estimator.diagnosis.characterisation import fit_functions
 from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
@@ -17,10 +16,11 @@ from estimator.diagnosis.dataset import (
 )
 from estimator.diagnosis.file_causes import confine_effects, find_odd_file
 from estimator.diagnosis.fit import fit_model, refit_baseline
+from estimator.diagnosis.function_search import fit_functions
 from estimator.diagnosis.hidden_motion import may_hide_motion, recover_motion_beside_effects
 from estimator.diagnosis.intervals import estimate_intervals, is_significant
-from estimator.diagnosis.measured_data import hold_out_aperiodically, shorten_blocks
 from estimator.diagnosis.outcome import CauseStep, RankedCandidate
+from estimator.diagnosis.record import hold_out_aperiodically, shorten_blocks
 from estimator.diagnosis.rivals import find_rivals
 from estimator.diagnosis.scoring import (
     ChannelErrors,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.diagnosis.measured_data import (
+from estimator.diagnosis.record import (
     Record,
     mark_all_as_train,
     select_record_rows,

@@ -18,11 +18,11 @@ from estimator.array_types import Array
 from estimator.diagnosis import report_tables
 from estimator.diagnosis.curve import describe_curve
 from estimator.diagnosis.dataset import Fit, SimulatedRecord
-from estimator.diagnosis.measured_data import Record
 from estimator.diagnosis.outcome import Curve, Diagnosis, PredictedRecord
+from estimator.diagnosis.record import Record
 from estimator.diagnosis.report_tables import name_judged_samples, name_records
-from estimator.drawing import BLACK, BLUE, GREY, STYLE, VERMILION, DrawnFigure
 from estimator.effects.effect import DISTAL_TENSION, PROXIMAL_DISPLACEMENT, PROXIMAL_TENSION
+from estimator.figure_style import BLACK, BLUE, GREY, STYLE, VERMILION, DrawnFigure
 from estimator.units import Units
 
 PALE_BLUE, LIGHT_GREY, SHADE = "#9dc7e6", "#cccccc", "#eaf3f9"

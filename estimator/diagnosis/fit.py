@@ -28,7 +28,7 @@ from estimator.diagnosis.dataset import (
     simulate_dataset,
     use_all_samples,
 )
-from estimator.diagnosis.measured_data import Record
+from estimator.diagnosis.record import Record
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,

@@ -17,7 +17,7 @@ from estimator.diagnosis.dataset import (
     simulate_record,
 )
 from estimator.diagnosis.driving_signal import compute_rate, estimate_drive
-from estimator.diagnosis.measured_data import Record
+from estimator.diagnosis.record import Record
 from estimator.diagnosis.sampling import DataIssue
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis.driving_signal import find_turning_points
-from estimator.diagnosis.measured_data import Record
+from estimator.diagnosis.record import Record
 from estimator.diagnosis.scoring import (
     ChannelErrors,
     SimpleFit,
@@ -24,8 +24,8 @@ from estimator.diagnosis.scoring import (
 )
 from estimator.diagnosis.validation import Fold
 from estimator.effects.effect import PROXIMAL_TENSION
-from estimator.record_hysteresis import apply_proportional_play
-from estimator.signals import apply_play
+from estimator.hysteresis_operators import apply_proportional_play
+from estimator.noise_treatment import apply_play
 
 INSTALL = "pip install 'tendon-teleop[learned]'"
 LEARNED, CORRECTED = "learned from the drive", "the law, corrected by learning"

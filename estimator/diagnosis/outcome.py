@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import Dataset, Fit, SimulatedRecord
-from estimator.diagnosis.measured_data import UNIT_SCALE, BenchScale, Record
+from estimator.diagnosis.record import UNIT_SCALE, BenchScale, Record
 from estimator.diagnosis.residual_structure import ResidualDependence
 from estimator.diagnosis.sampling import DataIssue
 from estimator.diagnosis.scoring import Choice, SimpleFit, SimpleGain

@@ -11,7 +11,7 @@ from estimator.diagnosis.outcome import (
     RankedCandidate,
 )
 from estimator.diagnosis.scoring import Choice
-from estimator.text_table import Table
+from estimator.report_table import Table
 from estimator.units import Units, format_quantity
 
 CANDIDATES_SHOWN = 8  # candidates in a table

@@ -38,7 +38,7 @@ from estimator.diagnosis.settings import SETTINGS
 from estimator.effects import CATALOGUE, Effect, Parameter
 from estimator.effects.effect import CHANNELS, DISTAL_DISPLACEMENT, DISTAL_TENSION, PROXIMAL_TENSION
 from estimator.effects.functions import find_function
-from estimator.text_table import Table
+from estimator.report_table import Table
 from estimator.units import format_quantity
 
 DEPENDENCES_SHOWN = 2  # named in a sentence

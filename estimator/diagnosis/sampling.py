@@ -20,7 +20,7 @@ from estimator.diagnosis.noise import (
 )
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import Signals
-from estimator.signals import estimate_noise_sigma
+from estimator.noise_treatment import estimate_noise_sigma
 from estimator.spikes import find_spikes
 
 STEP_SCATTER_MAX = 0.02  # of the period: scatter of the steps below which stamps are even

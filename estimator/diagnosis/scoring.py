@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array, Mask
 from estimator.diagnosis.dataset import Dataset, Fit, compute_tolerance
-from estimator.diagnosis.measured_data import Record
+from estimator.diagnosis.record import Record
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import DISTAL_TENSION, PROXIMAL_TENSION
 from estimator.fitting import (

@@ -15,7 +15,7 @@ from estimator.law.sheath import ASSUMED_COMPLIANCE
 class Settings:
     """Thresholds, by the decision that they are for."""
 
-    # which samples of a record count (measured_data.py)
+    # which samples of a record count (record.py)
     samples_min: int = 100  # of a record that is accepted
     samples_max: int = 20_000  # that are simulated; a longer record is averaged
     block: float = 5.0  # [s] that are fitted, and as long that are held out

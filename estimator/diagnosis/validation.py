@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator import signals
+from estimator import noise_treatment
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import (
     BaseLaw,
@@ -27,7 +27,6 @@ from estimator.diagnosis.dataset import (
 )
 from estimator.diagnosis.fit import compute_jacobian, fit_model, fit_record_parameters, refit_subset
 from estimator.diagnosis.hidden_motion import propagate_driver_noise, recover_hidden_motion
-from estimator.diagnosis.measured_data import Record
 from estimator.diagnosis.outcome import (
     DetectionLimit,
     ErrorStatistics,
@@ -39,6 +38,7 @@ from estimator.diagnosis.outcome import (
     RivalForce,
     compute_error_statistics,
 )
+from estimator.diagnosis.record import Record
 from estimator.diagnosis.scoring import compute_errors, compute_residual_fraction
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
@@ -410,8 +410,8 @@ def build_tendon_model(model: Model, duration: float, data: MeasuredData) -> Ten
     travel = data.proximal_displacement
     return TendonModel(
         extended.sheath,
-        tension_noise=signals.estimate_noise_sigma(data.proximal_tension),
-        displacement_noise=0.0 if travel is None else signals.estimate_noise_sigma(travel),
+        tension_noise=noise_treatment.estimate_noise_sigma(data.proximal_tension),
+        displacement_noise=0.0 if travel is None else noise_treatment.estimate_noise_sigma(travel),
         extension=extended.extension,
         tip_effects=extended.tip_effects,
     )

@@ -60,7 +60,7 @@ class EffectContext(NamedTuple):
     simulated: Signals  # by the model without the effect
     compliance: Array  # dq_p/dT_in [m/N] of that model
     elongation_per_newton: float  # L/EA [m/N] of that model
-    newton: float = 1.0  # of the records, in the unit of force here (diagnosis.measured_data)
+    newton: float = 1.0  # of the records, in the unit of force here (diagnosis.record)
     present: Mapping[str, Mask] = MappingProxyType({})  # the others are interpolated
     variables: Mapping[str, Array] = MappingProxyType({})  # further columns, shape (n,) each
     file: int = 0  # number of the record among those fitted, from 1; 0 = none of them

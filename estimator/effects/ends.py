@@ -18,7 +18,7 @@ from estimator.effects.effect import (
     transform_channel,
 )
 from estimator.lumped.lumped_model import Physics
-from estimator.signals import apply_play
+from estimator.noise_treatment import apply_play
 
 TRAVEL = frozenset({PROXIMAL_DISPLACEMENT})
 BOTH_TRAVELS = frozenset({PROXIMAL_DISPLACEMENT, DISTAL_DISPLACEMENT})

@@ -2,7 +2,7 @@
 
 Where no named cause fits, a penalised B-spline (Eilers, Marx, Stat. Sci. 11, 1996) says on what the
 missing part depends and how. The variable's range is part of the effect; outside it the function
-stays as at its end. `diagnosis.characterisation` fits and judges these effects.
+stays as at its end. `diagnosis.function_search` fits and judges these effects.
 """
 
 from collections.abc import Callable, Iterable

@@ -19,8 +19,8 @@ from estimator.effects.effect import (
     compute_step,
     transform_channel,
 )
+from estimator.noise_treatment import apply_play
 from estimator.online.reading_correction import CorrectionKind
-from estimator.signals import apply_play
 
 ONSET_COUNT = 12
 SLIP_STEP_COUNT = 6  # of a reading, that may be slips

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.records import I64, Field, Struct, StructArray, view_struct
+from estimator.structs import I64, Field, Struct, StructArray, view_struct
 
 MAX_COORDINATES = 8
 """Coordinates of an arm: as many as a message has joints."""

@@ -33,7 +33,7 @@ from estimator.kinematics.rotations import (
     to_quaternion,
     to_rotation_matrix,
 )
-from estimator.records import F64, Field, Flag, Struct, StructArray, view_struct
+from estimator.structs import F64, Field, Flag, Struct, StructArray, view_struct
 
 AXES = 7
 """Axes of a hand: translation, rotation, grip."""

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.kinematics.arm import MAX_COORDINATES, ArmError, Coordinates, PreparedArm
-from estimator.records import F64, Field, Struct, StructArray, view_struct
+from estimator.structs import F64, Field, Struct, StructArray, view_struct
 
 Twist = Annotated[Array, Field("f8", 6)]
 """A field with a linear [m/s] and an angular velocity [rad/s], in the frame of the base."""

@@ -26,7 +26,7 @@ from estimator.kinematics.inverse import (
     decompose_weighted_jacobian,
     write_weighted_jacobian,
 )
-from estimator.records import F64, I64, Field, Flag, Struct, StructArray, view_struct
+from estimator.structs import F64, I64, Field, Flag, Struct, StructArray, view_struct
 
 MAX_PLANES = 8
 

@@ -15,7 +15,6 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.arrays import copy_values
 from estimator.compiled import jit_compile, jit_inline
 from estimator.lumped.nodes import (
     NODES,
@@ -31,6 +30,7 @@ from estimator.lumped.nodes import (
 from estimator.lumped.play_spectrum import ONE_PLAY, distribute_spectrum
 from estimator.lumped.presliding_solver import solve_presliding
 from estimator.lumped.stick_slip_solver import WORK_ROWS, solve_stick_slip
+from estimator.small_arrays import copy_values
 
 _SUBSTEP_MIN = 1.0 / 8.0  # of a step
 _APPROACH = 12  # steps from each of the turns before the first sample to the next

@@ -3,9 +3,9 @@
 from typing import NamedTuple
 
 from estimator.array_types import Array
-from estimator.arrays import copy_values
 from estimator.compiled import jit_compile, jit_inline
 from estimator.lumped.nodes import Tendon, Tip, compute_elongation, compute_tip_travel
+from estimator.small_arrays import copy_values
 
 WORK_ROWS = 6
 """Rows of a node each that `solve_stick_slip` works with."""

@@ -14,14 +14,14 @@ creep of a tendon at rest is not taken for the tip.
 
 import math
 
-from estimator import signals
-from estimator.arrays import copy_values
+from estimator import noise_treatment
 from estimator.compiled import jit_compile
 from estimator.law import tables as _tables
 from estimator.law.play_profile import TIP, drive_end, push_proximal, to_log_tension
 from estimator.law.transmission import read_profile
 from estimator.online.dynamic_correction import varies_friction
 from estimator.online.estimator_state import EstimatorState, PreparedTendon
+from estimator.small_arrays import copy_values
 
 # sigma of a displacement before it decides: a running extreme stands 3 to 4 off
 TRAVEL_SIGMAS = 8.0
@@ -53,7 +53,7 @@ def drive_profile(
     T_before, q_before = state.held_tension, state.mean_displacement
     sure_q = TRAVEL_SIGMAS * prepared.displacement_noise
     heading = _compute_direction(state.tension_direction, T - T_before)
-    held = signals.update_play(state.held_displacement, q, 0.5 * sure_q)
+    held = noise_treatment.update_play(state.held_displacement, q, 0.5 * sure_q)
     motor_heading = _compute_direction(state.displacement_direction, held - state.held_displacement)
     is_reversed = (
         heading != state.tension_direction or motor_heading != state.displacement_direction

@@ -25,13 +25,13 @@ from typing import Annotated
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from estimator.lumped import lumped_model
 from estimator.lumped.lumped_model import SAMPLE
 from estimator.lumped.nodes import NODES
-from estimator.records import F64, I64, Field, Flag, Struct
+from estimator.small_arrays import copy_values
 from estimator.spline import evaluate_spline_at
+from estimator.structs import F64, I64, Field, Flag, Struct
 
 SPEED_TIME_CONSTANT = 0.02  # [s] over which speeds are averaged
 FAST_TIME_CONSTANT, SLOW_TIME_CONSTANT = 0.02, 2.0  # [s] between which changes at the tip count

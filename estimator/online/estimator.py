@@ -3,7 +3,7 @@
 import dataclasses
 import math
 
-from estimator import signals
+from estimator import noise_treatment
 from estimator.law.sheath import Sheath
 from estimator.measured_data import MeasuredData
 from estimator.online import online
@@ -51,8 +51,8 @@ class Estimator:
         prepared = self._prepared
         if not self._known_noise:
             travel = data.proximal_displacement
-            noise = 0.0 if travel is None else signals.estimate_noise_sigma(travel)
-            sigma = signals.estimate_noise_sigma(data.proximal_tension)
+            noise = 0.0 if travel is None else noise_treatment.estimate_noise_sigma(travel)
+            sigma = noise_treatment.estimate_noise_sigma(data.proximal_tension)
             noisy = dataclasses.replace(self.model, tension_noise=sigma, displacement_noise=noise)
             prepared = online.prepare(noisy)
         return online.run(prepared, data.time, data.proximal_tension, data.proximal_displacement)

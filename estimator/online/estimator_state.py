@@ -10,7 +10,7 @@ from estimator.online import dynamic_correction
 from estimator.online.dynamic_correction import DynamicConstants, DynamicState
 from estimator.online.reading_correction import MAX_CORRECTIONS, Corrections, build_corrections
 from estimator.online.tendon_model import TendonModel
-from estimator.records import F64, Field, Flag, Struct, StructArray, view_struct
+from estimator.structs import F64, Field, Flag, Struct, StructArray, view_struct
 
 # --- a tendon model made ready for the compiled estimator, as a record
 

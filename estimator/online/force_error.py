@@ -14,7 +14,7 @@ from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.effects.effect import DISTAL_TENSION, Effect, EffectContext, Values
 from estimator.online.tendon_model import TendonModel
-from estimator.records import F64, I64, Struct, StructArray, view_struct
+from estimator.structs import F64, I64, Struct, StructArray, view_struct
 
 # --- what a bench's load cell at the tip reads of a force: the scale on which estimates are
 # scored

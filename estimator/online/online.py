@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator import signals
+from estimator import noise_treatment
 from estimator.array_types import Array
 from estimator.compiled import jit_compile, jit_inline
 from estimator.law import tables as _tables
@@ -58,7 +58,7 @@ from estimator.online.tendon_estimate import (
     TendonEstimate,
 )
 from estimator.online.tendon_model import ModelError, TendonModel
-from estimator.records import StructArray
+from estimator.structs import StructArray
 
 __all__ = [
     "Estimates",
@@ -279,15 +279,15 @@ def _filter_tension(
 ) -> _FilteredTension:
     """Average the tension, hold it within its dead band, and age what was proved of T_out."""
     sigma, tau = prepared.tension_noise, prepared.time_constant
-    mean = signals.update_average(state.mean_tension, T, dt, tau)
+    mean = noise_treatment.update_average(state.mean_tension, T, dt, tau)
     # what was proved of T_out ages by what the motor itself may have changed since
     fall = state.mean_tension - mean
     state.proved_low -= max(fall, 0.0) * _compute_release_gain(prepared.tables[:])
     state.proved_high += max(-fall, 0.0)
-    state.tension_variance = signals.update_variance(state.tension_variance, sigma, dt, tau)
+    state.tension_variance = noise_treatment.update_variance(state.tension_variance, sigma, dt, tau)
     sigma_mean = math.sqrt(state.tension_variance)
     band = prepared.dead_band * sigma_mean
-    held_mean = signals.update_play(state.held_tension, mean, band)
+    held_mean = noise_treatment.update_play(state.held_tension, mean, band)
     state.mean_tension = mean
     slack = mean <= 3.0 * max(sigma_mean, TENSION_FLOOR)
     if slack:
@@ -322,7 +322,9 @@ def _update_profile(
         anchor_window(prepared, state, held, q)
         open_window(state, mean, q)
     else:
-        mean_q = signals.update_average(state.mean_displacement, q, dt, prepared.time_constant)
+        mean_q = noise_treatment.update_average(
+            state.mean_displacement, q, dt, prepared.time_constant
+        )
         sure_T = tension.band + BOUND_SIGMAS * (sigma_mean + TENSION_FLOOR)
         drive_profile(prepared, state, held, mean_q, sure_T, dt)
         slid_side = tighten_interval(prepared, state, mean, mean_q, sigma_mean, dt)

@@ -12,8 +12,8 @@ from typing import Annotated
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.records import I64, Field, Struct
 from estimator.spline import evaluate_spline_at
+from estimator.structs import I64, Field, Struct
 
 MAX_CORRECTIONS = 8
 """Corrections that a tendon can have."""

@@ -3,7 +3,7 @@
 import math
 from enum import IntFlag
 
-from estimator.records import F64, I64, Struct
+from estimator.structs import F64, I64, Struct
 
 
 class Status(IntFlag):

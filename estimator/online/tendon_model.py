@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from estimator import signals
+from estimator import noise_treatment
 from estimator.effects.effect import Effect, Values
 from estimator.law.sheath import Sheath
 from estimator.law.tables import MAX_SECTIONS
@@ -51,7 +51,7 @@ class TendonModel:
     tension_noise: float = 0.0  # [N]
     displacement_noise: float = 0.0  # [m]
     initial: Literal["slack"] | float = "slack"  # [N]
-    treatment: signals.Treatment = field(default_factory=signals.Treatment)
+    treatment: noise_treatment.Treatment = field(default_factory=noise_treatment.Treatment)
     friction_error: float = 0.02
     elongation_error: float = 0.1
     tip_tension_rate: float = 100.0  # [N/s]

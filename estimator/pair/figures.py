@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from matplotlib.figure import Figure
 
-from estimator.drawing import BLACK, BLUE, VERMILION, DrawnFigure, use_style
+from estimator.figure_style import BLACK, BLUE, VERMILION, DrawnFigure, use_style
 from estimator.pair.pair_study import PairStudy
 from estimator.pair.report_text import format_degrees
 

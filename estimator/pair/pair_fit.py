@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.fitting import compute_clustered_errors, minimise_squares, move_inside_bounds
 from estimator.lumped.lumped_model import Motion
-from estimator.pair.pair import (
+from estimator.pair.pair_model import (
     PairModel,
     PairRecord,
     combine_tendons,

@@ -8,7 +8,8 @@ from scipy.stats import t as student
 
 from estimator.array_types import Array, Mask
 from estimator.fitting import IntervalEstimate, build_interval, minimise_squares
-from estimator.pair.pair import PairModel, PairRecord
+from estimator.hysteresis_operators import compute_bristle_deflection
+from estimator.noise_treatment import apply_play
 from estimator.pair.pair_fit import (
     PairError,
     PairFit,
@@ -18,8 +19,7 @@ from estimator.pair.pair_fit import (
     number_strokes,
     predict_angle,
 )
-from estimator.record_hysteresis import compute_bristle_deflection
-from estimator.signals import apply_play
+from estimator.pair.pair_model import PairModel, PairRecord
 
 # --- models of a pair that know no tendon: the angle as a hysteresis of the command
 # What the model of the pair has to be better than. Their numbers are linear in the bend b:

@@ -14,7 +14,7 @@ from estimator.pair.pair_study import (
     compute_mean_share,
     compute_offset_share,
 )
-from estimator.text_table import Table
+from estimator.report_table import Table
 
 OWN_METHOD = PairVariant.FULL.value
 DEPENDENCE_MIN = 0.02  # of the span: larger means count as a dependence

@@ -14,9 +14,8 @@ import math
 from collections.abc import Sequence
 from typing import Annotated
 
-from estimator import signals
+from estimator import noise_treatment
 from estimator.array_types import Array
-from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from estimator.law import tables as _tables
 from estimator.law.play_profile import (
@@ -33,7 +32,8 @@ from estimator.law.play_profile import (
 from estimator.law.tables import Tables, compute_arc_length, compute_length_density
 from estimator.law.transmission import read_profile
 from estimator.online.estimator_state import BOUND_SIGMAS, PreparedTendon
-from estimator.records import F64, Field, Flag, Struct
+from estimator.small_arrays import copy_values
+from estimator.structs import F64, Field, Flag, Struct
 
 NOISE_SIGMAS = 2.0  # dead bands of T_in and of the travel
 TRAVEL_TIME_S = 0.005  # time constant of the travel of the tips, within its noise
@@ -117,7 +117,7 @@ def start_sheath_end(end: SheathEnd, profile: Array, tension: float) -> None:
 def _push_housing(prepared: PreparedTendon, end: SheathEnd, tension: float) -> float:
     """Bring T_in of a tendon to `tension` [N], behind its dead band; return its elongation [m]."""
     band = NOISE_SIGMAS * prepared.tension_noise
-    end.held_tension = signals.update_play(end.held_tension, max(tension, 0.0), band)
+    end.held_tension = noise_treatment.update_play(end.held_tension, max(tension, 0.0), band)
     push_proximal(prepared.tables[:], end.profile[:], end.held_tension)
     return read_profile(prepared.tables[:], end.profile[:])[2]
 
@@ -147,9 +147,9 @@ def _update_travel(
     a.offset += leak * (1.0 - share) * (travel_a - fused)
     b.offset += leak * share * (travel_b - fused)
     mean = pair.mean_travel + weight * (fused - pair.mean_travel)
-    pair.mean_travel = signals.update_play(mean, fused, BOUND_SIGMAS * noise)
+    pair.mean_travel = noise_treatment.update_play(mean, fused, BOUND_SIGMAS * noise)
     before = pair.travel
-    pair.travel = signals.update_play(before, pair.mean_travel, NOISE_SIGMAS * noise)
+    pair.travel = noise_treatment.update_play(before, pair.mean_travel, NOISE_SIGMAS * noise)
     return pair.travel - before
 
 

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from estimator.array_types import Array, Mask
-from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from estimator.law.sheath import Sheath
 from estimator.routing.routing import PreparedRouting, Routing, RoutingError, prepare
+from estimator.small_arrays import copy_values
 
 _LEAST_COMPLIANCE = 1e-11  # [m/N] of stretches on a pin that is hardly touched
 _ROOT_ITERATIONS = 60

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.records import to_struct
+from estimator.structs import to_struct
 from slave import gate
 from slave.calibration.run import (
     NO_READINGS_TEXT,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.records import F64, Field, Flag, Struct
+from estimator.structs import F64, Field, Flag, Struct
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice, MonitorConfig, TendonMonitor
 from slave.control.joint import JointEstimates

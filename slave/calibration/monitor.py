@@ -26,14 +26,14 @@ from typing import Annotated, Literal
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.arrays import compute_median, copy_values, interpolate
 from estimator.compiled import jit_compile
 from estimator.law.sheath import Sheath
 from estimator.law.transmission import Phase
 from estimator.online import tendon_estimate
 from estimator.online.online import TendonModel
 from estimator.online.tendon_estimate import TendonEstimate
-from estimator.records import F64, I64, Field, Flag, Struct, StructArray, view_struct
+from estimator.small_arrays import compute_median, copy_values, interpolate
+from estimator.structs import F64, I64, Field, Flag, Struct, StructArray, view_struct
 from slave.tendons import EstimatedTendon, RigLayout
 from teleop.config.ranges import build_ranged_field, check_ranges
 

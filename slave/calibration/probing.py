@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from estimator.array_types import Array
-from estimator.arrays import interpolate
 from estimator.compiled import jit_compile
+from estimator.noise_treatment import update_average
 from estimator.online.online import TendonModel
-from estimator.records import F64, I64, Field, Flag, Struct, StructArray, view_struct
-from estimator.signals import update_average
+from estimator.small_arrays import interpolate
+from estimator.structs import F64, I64, Field, Flag, Struct, StructArray, view_struct
 from slave.calibration import monitor
 from slave.calibration.monitor import FRICTION_FACTORS, Transition
 from slave.control.joint import TAUT_TENSION

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.records import to_struct
+from estimator.structs import to_struct
 from slave import gate, initial_position
 from slave.calibration import procedure, procedure_state
 from slave.calibration.config import InitialiseConfig, compute_compliance_limit

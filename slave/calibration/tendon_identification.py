@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator import signals
+from estimator import noise_treatment
 from estimator.array_types import Array
 from estimator.calibration import calibration as blocked_tip
 from estimator.calibration.calibration import CalibrationError
@@ -269,8 +269,12 @@ def _build_tendon_config(
         friction=None if is_uniform else model.friction,
         sections=() if is_uniform else _scale_sections(model, calibration.K.value),
         axial_stiffness=round_significant(model.axial_stiffness),
-        tension_noise=round_significant(signals.estimate_noise_sigma(pulled.tension[moving])),
-        displacement_noise=round_significant(signals.estimate_noise_sigma(pulled.travel[moving])),
+        tension_noise=round_significant(
+            noise_treatment.estimate_noise_sigma(pulled.tension[moving])
+        ),
+        displacement_noise=round_significant(
+            noise_treatment.estimate_noise_sigma(pulled.travel[moving])
+        ),
         friction_error=round_significant(
             max(
                 RELATIVE_ERROR_MIN,

@@ -28,8 +28,8 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.records import F64, Field, Flag, Struct
-from estimator.signals import update_play
+from estimator.noise_treatment import update_play
+from estimator.structs import F64, Field, Flag, Struct
 from slave.control.joint import fuse_travels
 from slave.tendons import EstimatedTendon, EstimatedTendons, RigLayout, TendonGroup
 from teleop.config.ranges import build_ranged_field, check_ranges

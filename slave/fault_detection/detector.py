@@ -6,7 +6,7 @@ from typing import Annotated
 
 from estimator.compiled import jit_compile
 from estimator.online.online import TendonModel
-from estimator.records import Field, Struct, StructArray, view_struct
+from estimator.structs import Field, Struct, StructArray, view_struct
 from slave.fault_detection.config import FaultDetectionConfig
 from slave.fault_detection.load_cell import check_cell, is_suspect, update_average
 from slave.fault_detection.wound_length import (

@@ -12,7 +12,7 @@ than a taut tendon's backlash.
 from math import erf, inf, isfinite, log, nan, sqrt
 
 from estimator.compiled import jit_compile
-from estimator.records import F64, I64, Flag, Struct
+from estimator.structs import F64, I64, Flag, Struct
 from slave.fault_detection.config import FaultDetectionConfig
 from teleop.session.state_machine import Reason
 

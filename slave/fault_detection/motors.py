@@ -11,7 +11,7 @@ from typing import Annotated
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.records import F64, Field, Flag, Struct
+from estimator.structs import F64, Field, Flag, Struct
 from slave.fault_detection.config import FaultDetectionConfig
 from slave.tendons import EstimatedTendon, RigLayout
 from teleop.messages.messages import MAX_TENDONS

@@ -21,7 +21,7 @@ from math import inf, nan
 from estimator.compiled import jit_compile
 from estimator.law import tables
 from estimator.law.sheath import Sheath
-from estimator.records import F64, Struct
+from estimator.structs import F64, Struct
 from slave.fault_detection.config import FaultDetectionConfig
 from slave.fault_detection.load_cell import LoadCell, TendonAverage
 from slave.tendons import TendonGroup

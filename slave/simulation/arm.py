@@ -32,8 +32,8 @@ from numba.typed import List
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
+from estimator.small_arrays import copy_values
 from slave.simulation.chain_step import compute_response, recover_state
 from slave.simulation.environment import compute_environment_force
 from slave.simulation.friction_nodes import Curve, Response

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
+from estimator.small_arrays import copy_values
 from slave.simulation.environment import STIFFNESS_MAX
 from slave.simulation.inertia import LinkMotion
 from teleop.config.arm import LinkedArmConfig

@@ -18,8 +18,8 @@ import numpy as np
 
 from estimator.diagnosis.api import diagnose_records
 from estimator.diagnosis.dataset import build_context
-from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.record import prepare_record
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import Effect, Parameter
 from studies import hidden

@@ -11,8 +11,8 @@ import time
 from typing import NamedTuple
 
 from estimator.diagnosis.api import diagnose_records
-from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.record import prepare_record
 from studies import hidden
 from studies.hidden.play_grid import make_grid
 from studies.testbed.command import parse_options

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from estimator.drawing import BLACK, BLUE, GREEN, GREY, STYLE, VERMILION
+from estimator.figure_style import BLACK, BLUE, GREEN, GREY, STYLE, VERMILION
 from studies.paper import study
 from studies.paper.methods import METHODS, OURS, PAPER, PAPER_AT_BEST
 from studies.paper.study import (

@@ -17,7 +17,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from estimator import signals
+from estimator import noise_treatment
 from estimator.array_types import Array
 from estimator.online import online
 from slave.calibration import run as initialisation
@@ -150,7 +150,7 @@ def read_figure(pulled: PulledTendon) -> Figure:
     last = slice(-round(READ_OVER / PERIOD), None)
     peak, end = float(T[last].mean()), float(q[last].mean())
     begins = float(offset + slope * free)
-    return Figure(begins, end - begins, peak, float(slope), signals.estimate_noise_sigma(T))
+    return Figure(begins, end - begins, peak, float(slope), noise_treatment.estimate_noise_sigma(T))
 
 
 def _fit_ours(calibrated: CalibratedMethod) -> FittedMethod:

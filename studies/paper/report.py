@@ -4,7 +4,7 @@ import math
 from itertools import product
 from typing import Any
 
-from estimator.text_table import Table
+from estimator.report_table import Table
 from studies.paper.methods import METHODS, OURS, PAPER
 from studies.paper.study import (
     MOTIONS,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimator.law.sheath import Sheath
 from estimator.online import online
-from estimator.records import StructArray, to_struct, view_struct
+from estimator.structs import StructArray, to_struct, view_struct
 from slave import control, fault_detection, gate
 from slave.control import ControlConfig, ControllerState, JointEstimate
 from slave.fault_detection import FaultDetectionConfig

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.text_table import Table
+from estimator.report_table import Table
 from studies.transparency import hybrid, stiffness, zwidth
 from studies.transparency.hybrid import Response
 from studies.transparency.study import CONTACT, HANDS, LOAD, PRETENSION, SPRING, Case, Study, Walls

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.law.sheath import Sheath
 from estimator.online.online import TendonModel
-from estimator.records import view_struct
+from estimator.structs import view_struct
 from master import hand_input
 from master import loop as master_loop
 from master.config import MasterConfig

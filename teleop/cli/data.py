@@ -19,7 +19,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.plausibility import find_channel_faults
-from estimator.text_table import Table
+from estimator.report_table import Table
 from teleop.cli.diagnose.diagnosis_run import TENSIONS
 from teleop.config.loading import as_tree
 from teleop.config.options import TABLE_OPTIONS, add_options
@@ -183,7 +183,7 @@ def draw(table: MeasuredTable, path: Path) -> None:
     """Write a figure with an axis for each channel."""
     from matplotlib.figure import Figure
 
-    from estimator.drawing import use_style
+    from estimator.figure_style import use_style
 
     channels = {k: v for k, (_, v) in Reading.from_table(table).channels.items() if k != "time"}
     with use_style():

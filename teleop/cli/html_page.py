@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from estimator.drawing import format_html_table, use_style
-from estimator.text_table import Table
+from estimator.figure_style import format_html_table, use_style
+from estimator.report_table import Table
 
 # --- values as JSON has them: no records, no numpy types, nothing that is not finite
 

@@ -24,8 +24,8 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.pair import report_text
-from estimator.pair.pair import PairRecord
 from estimator.pair.pair_fit import PairError
+from estimator.pair.pair_model import PairRecord
 from estimator.pair.pair_study import PairStudy, analyse_residuals, compute_offset_share, study_pair
 from teleop.config.loading import load
 from teleop.config.options import add_options

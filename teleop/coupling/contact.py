@@ -19,7 +19,7 @@ forgotten, and noise does not wear it out.
 import math
 
 from estimator.compiled import jit_compile
-from estimator.records import F64, Flag, Struct
+from estimator.structs import F64, Flag, Struct
 
 REGRESSION_STEP = 2e-5  # [m] the tip's way from one point of the regression to the next
 REGRESSION_MEMORY = 3e-4  # [m] of the tip's way

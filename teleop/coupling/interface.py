@@ -14,7 +14,7 @@ Forces [N] are positive against pulling, travels [m] in the pulling direction.
 from typing import NamedTuple
 
 from estimator.compiled import jit_compile
-from estimator.records import F64, Struct
+from estimator.structs import F64, Struct
 
 
 class MasterInput(Struct):

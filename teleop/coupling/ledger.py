@@ -22,7 +22,7 @@ import math
 from typing import Any
 
 from estimator.compiled import jit_compile
-from estimator.records import F64, Struct, StructArray
+from estimator.structs import F64, Struct, StructArray
 from teleop.messages.messages import Ledger
 from teleop.messages.packet import Packet
 from teleop.messages.topics import Role

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.records import F64, U64, Field, Flag, Struct
+from estimator.structs import F64, U64, Field, Flag, Struct
 from teleop.coupling import contact, direct, ledger, passivity, wave
 from teleop.coupling.config import EXTENSION, PASSIVITY, WAVE, BilateralSettings
 from teleop.coupling.contact import Contact

@@ -27,8 +27,8 @@ import numpy as np
 import yaml
 
 from estimator.diagnosis.dataset import COMPLIANCE, FRICTION, TIP_COMPLIANCE, BaseLaw, Model
-from estimator.diagnosis.measured_data import parse_dimension
 from estimator.diagnosis.outcome import Diagnosis, LiveError, Verdict
+from estimator.diagnosis.record import parse_dimension
 from estimator.effects import CATALOGUE, Effect, Parameter, Values
 from estimator.effects.functions import find_function
 from teleop.config import strict_yaml

@@ -273,11 +273,17 @@ def draw_psychometric(
     """
     from matplotlib.figure import Figure  # which takes a second, and no trial needs it
 
-    from estimator import drawing
+    from estimator import figure_style
 
     fits = [fits] if isinstance(fits, PsychometricFit) else list(fits)
-    colours = (drawing.BLUE, drawing.VERMILION, drawing.GREEN, drawing.BLACK, drawing.GREY)
-    with drawing.use_style():
+    colours = (
+        figure_style.BLUE,
+        figure_style.VERMILION,
+        figure_style.GREEN,
+        figure_style.BLACK,
+        figure_style.GREY,
+    )
+    with figure_style.use_style():
         figure = Figure(figsize=(5.0, 3.4))
         axes: Any = figure.subplots()
         for number, fit in enumerate(fits):

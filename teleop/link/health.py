@@ -21,7 +21,7 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 from estimator.compiled import jit_compile
-from estimator.records import I64, Flag, Struct, StructArray
+from estimator.structs import I64, Flag, Struct, StructArray
 from teleop.config.ranges import RangedConfig, build_ranged_field
 from teleop.link.reception import DRIFT, NEVER_NS, MessageCounts
 from teleop.messages.messages import LinkReport

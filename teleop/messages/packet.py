@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from estimator.records import StructArray, view_struct
+from estimator.structs import StructArray, view_struct
 from teleop.messages.messages import CHECKSUM, CHECKSUM_START, ENCAPSULATION, HEAD, LAYOUT, Message
 
 M = TypeVar("M", bound=Message)

@@ -9,7 +9,7 @@ from dataclasses import replace
 from enum import IntFlag
 from typing import Any, ClassVar, TypeVar
 
-from estimator.records import StructArray
+from estimator.structs import StructArray
 from teleop.coupling import LedgerPublisher
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import LatestMessage, Link, MessageCounts

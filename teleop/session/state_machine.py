@@ -38,7 +38,7 @@ again; only the clutch returns directly to ENGAGED.
 What each side may do depends on `may_move`, `may_probe` and `may_yield` (slave), `may_render` and
 `is_force_fading` (master), and on nothing else.
 
-`Session` and `Inputs` are records (`estimator.records`), and all functions of them are compiled.
+`Session` and `Inputs` are records (`estimator.structs`), and all functions of them are compiled.
 Python code around the loops, which reports and prints, takes a `SessionOutline`.
 """
 
@@ -46,7 +46,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from estimator.compiled import jit_compile
-from estimator.records import F64, I64, U64, Flag, Struct, StructArray, view_struct
+from estimator.structs import F64, I64, U64, Flag, Struct, StructArray, view_struct
 
 FOLLOW_LIMIT_S = 0.1  # [s] timeout for the peer to engage: 100 ticks at 1 kHz
 HOLD_LIMIT_S = 2.0  # [s] of silence after which HOLDING becomes a fault

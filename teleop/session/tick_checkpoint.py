@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from estimator.records import StructArray, as_bytes
+from estimator.structs import StructArray, as_bytes
 from teleop.runtime.clock import STALL_NS, now_ns
 
 R = TypeVar("R")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.kinematics.arm import Arm, CurvedSection, Offset, PreparedArm, prepare_arm
 from estimator.kinematics.tip_wrench import bound_product, compute_tip_wrench
-from estimator.records import StructArray, view_struct
+from estimator.structs import StructArray, view_struct
 from teleop.config.arm import ArmConfig
 from teleop.config.loading import ConfigDocument
 from teleop.errors import UsageError

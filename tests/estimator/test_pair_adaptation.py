@@ -17,7 +17,7 @@ from estimator.pair_adaptation import (
     _sweep_tip,
     run_adapting_pair,
 )
-from estimator.records import view_struct
+from estimator.structs import view_struct
 from slave.simulation.environment import TissueConfig
 from studies.adaptation import CHANGE_S, SETTLE_S, UNCHANGED, simulate_use
 

@@ -5,8 +5,8 @@ import pytest
 
 from estimator.adaptation import run_adapting
 from estimator.pair_adaptation import run_adapting_pair
-from estimator.records import view_struct
 from estimator.sensing_loop import LoopState, measure_loop_friction
+from estimator.structs import view_struct
 from studies.adaptation import Conditions, score_use, simulate_use
 
 RATE, CHANGE_S, END_S, NODES = 250.0, 6.0, 12.0, 60

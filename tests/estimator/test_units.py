@@ -2,7 +2,7 @@
 
 import pytest
 
-from estimator.diagnosis.measured_data import BenchScale, parse_dimension
+from estimator.diagnosis.record import BenchScale, parse_dimension
 from estimator.units import LINEAR, ROTARY
 
 R = 0.01

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.records import view_struct
+from estimator.structs import view_struct
 from master.hand_input import HandInput, fill_axes, fill_hand_input
 from teleop.messages.messages import MAX_JOINTS, Message
 

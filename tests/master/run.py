@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimator.records import view_struct
+from estimator.structs import view_struct
 from master import loop
 from master.config import MasterConfig
 from master.device import HandState

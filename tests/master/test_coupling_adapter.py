@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import view_struct
+from estimator.structs import view_struct
 from master import coupling_adapter
 from master.coupling_adapter import RenderMemory
 from master.device import HandState

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from estimator.records import view_struct
+from estimator.structs import view_struct
 from master import hand_input, loop
 from master.config import MasterConfig
 from master.device import HandState

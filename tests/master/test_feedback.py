@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import to_struct, view_struct
+from estimator.structs import to_struct, view_struct
 from master import feedback
 from master.feedback import FeedbackConfig
 from teleop.coupling import Bilateral, to_bilateral_settings

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import to_struct
+from estimator.structs import to_struct
 from master import gate
 from master.gate import FADE_S, GateConfig, GateFlags
 from teleop.messages.messages import MAX_JOINTS

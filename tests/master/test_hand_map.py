@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from estimator.kinematics.arm import prepare_arm
 from estimator.kinematics.forward import compute_tip_pose
-from estimator.records import to_struct, view_struct
+from estimator.structs import to_struct, view_struct
 from master import hand_map, loop
 from master.config import MasterConfig
 from master.device import HandState

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import view_struct
+from estimator.structs import view_struct
 from master import operator
 from master.device import HandState
 from master.operator import OperatorConfig, OperatorMemory, build_operator_settings

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator.records import view_struct
+from estimator.structs import view_struct
 from master import workspace
 from master.config import MasterConfig
 from master.device import HandState

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.records import StructArray, view_struct
+from estimator.structs import StructArray, view_struct
 from slave import loop
 from slave.config import SlaveConfig
 from slave.gate import GateFlags

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
+from estimator.small_arrays import copy_values
 from slave.sheath_section import SectionConfig
 from slave.simulation.chain_step import compute_response, recover_state
 from slave.simulation.friction_nodes import interpolate_curve

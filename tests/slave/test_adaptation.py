@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from estimator.law import tables
-from estimator.records import as_bytes
+from estimator.structs import as_bytes
 from slave import loop
 from slave.adaptation import UNDECIDED_S, AdaptationConfig, describe_fixed
 from slave.config import SlaveConfig, to_tendon_config

@@ -10,7 +10,7 @@ from estimator.kinematics.arm import prepare_arm
 from estimator.kinematics.forward import write_weight_torque
 from estimator.online import online
 from estimator.online.tendon_estimate import INVALID_INPUT
-from estimator.records import view_struct
+from estimator.structs import view_struct
 from slave import control
 from slave.arm_estimate import build_arm_estimator, estimate_arm_forces
 from slave.config import TendonConfig

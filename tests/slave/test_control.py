@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from estimator.law.transmission import Phase
 from estimator.online.tendon_estimate import Status
-from estimator.records import to_struct, view_struct
+from estimator.structs import to_struct, view_struct
 from slave import control
 from slave.control import ControlConfig, ControllerState, JointEstimate
 from slave.control.joint import fuse_travels

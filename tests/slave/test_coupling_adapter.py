@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estimator.online.tendon_estimate import INVALID_INPUT
-from estimator.records import to_struct, view_struct
+from estimator.structs import to_struct, view_struct
 from master import feedback
 from slave import loop
 from slave.control import JointEstimate

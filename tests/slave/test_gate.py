@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import to_struct, view_struct
+from estimator.structs import to_struct, view_struct
 from slave import gate
 from slave.control import JointEstimate
 from slave.gate import GateConfig, GateFlags, Reach

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from estimator.law.sheath import Sheath
 from estimator.online import online
-from estimator.records import as_bytes
+from estimator.structs import as_bytes
 from slave import loop
 from slave.config import SlaveConfig, TendonConfig
 from slave.gate import GateConfig, GateFlags

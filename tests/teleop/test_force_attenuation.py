@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from estimator.records import to_struct
+from estimator.structs import to_struct
 from teleop.coupling.force_attenuation import (
     ConfidenceConfig,
     attenuate_force,

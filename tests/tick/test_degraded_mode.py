@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator.records import view_struct
+from estimator.structs import view_struct
 from teleop.session.state_machine import Reason, State
 from tests.tick.session import HAND_ENGAGED, Session
 

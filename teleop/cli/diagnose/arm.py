@@ -10,7 +10,7 @@ from estimator.array_types import Array
 from estimator.diagnosis import arm_report
 from estimator.diagnosis.arm import ArmDiagnosis, diagnose_arm
 from estimator.diagnosis.arm_model import ArmData
-from estimator.diagnosis.measured_data import RecordError
+from estimator.diagnosis.record import RecordError
 from estimator.law.sheath import Sheath
 from estimator.routing.routing import Routing
 from slave.arm_estimate import build_routing

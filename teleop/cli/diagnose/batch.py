@@ -11,8 +11,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from estimator.diagnosis.travel_pair import is_travel_pair
-from estimator.text_table import Table
+from estimator.diagnosis.travel_diagnosis import is_travel_pair
+from estimator.report_table import Table
 from teleop.cli.diagnose import diagnosis_run, travels
 from teleop.errors import TeleopError, UsageError
 from teleop.ros.bag_table import is_bag

@@ -25,7 +25,7 @@ from pathlib import Path
 
 from estimator.diagnosis import report_text
 from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.travel_pair import is_travel_pair
+from estimator.diagnosis.travel_diagnosis import is_travel_pair
 from teleop.cli.diagnose import arm, batch, json_report, travels
 from teleop.cli.diagnose.diagnosis_run import (
     check_options,

@@ -8,8 +8,8 @@ from typing import Any
 from estimator.diagnosis import report_tables, report_text
 from estimator.diagnosis.figures import RECORDS_MAX, draw_figures
 from estimator.diagnosis.outcome import Diagnosis
-from estimator.drawing import use_style
-from estimator.text_table import Table
+from estimator.figure_style import use_style
+from estimator.report_table import Table
 from teleop.cli.diagnose import json_report
 from teleop.cli.diagnose.json_report import ComparedParameter
 from teleop.cli.html_page import Page

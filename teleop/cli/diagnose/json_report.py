@@ -23,7 +23,7 @@ from estimator.diagnosis.outcome import (
 from estimator.diagnosis.scoring import Choice
 from estimator.effects.effect import Parameter, Values
 from estimator.law.sheath import Sheath
-from estimator.text_table import Table
+from estimator.report_table import Table
 from estimator.units import Units, format_quantity
 from slave.calibration import file
 from teleop.cli.html_page import to_json_values

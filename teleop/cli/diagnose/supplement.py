@@ -19,9 +19,9 @@ from estimator.diagnosis import report_tables, report_text
 from estimator.diagnosis.figures import draw_figures
 from estimator.diagnosis.outcome import Diagnosis, PredictedRecord
 from estimator.diagnosis.residual_structure import Autocorrelation, autocorrelate_channel
-from estimator.drawing import BLACK, BLUE, STYLE, to_svg
 from estimator.effects import Effect
-from estimator.text_table import Table
+from estimator.figure_style import BLACK, BLUE, STYLE, to_svg
+from estimator.report_table import Table
 from estimator.units import Units
 from teleop.cli.html_page import Page
 from teleop.data.raw_table import Column

@@ -5,13 +5,13 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from estimator.diagnosis.measured_data import RecordError
 from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.record import RecordError
 from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.travel_pair import TravelDiagnosis, diagnose_travels
+from estimator.diagnosis.travel_diagnosis import TravelDiagnosis, diagnose_travels
 from estimator.effects.effect import DISTAL_DISPLACEMENT, PROXIMAL_DISPLACEMENT
 from estimator.fitting import IntervalEstimate
-from estimator.text_table import Table
+from estimator.report_table import Table
 from estimator.units import format_quantity
 from teleop.cli.html_page import Page, to_json_values
 from teleop.data.table import MeasuredTable

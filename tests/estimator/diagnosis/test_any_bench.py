@@ -6,7 +6,7 @@ import pytest
 from estimator.diagnosis.api import diagnose
 from estimator.diagnosis.baseline import fit_baseline
 from estimator.diagnosis.dataset import build_contexts, build_dataset, build_plain_physics
-from estimator.diagnosis.measured_data import RecordError, prepare_record, shorten_blocks
+from estimator.diagnosis.record import RecordError, prepare_record, shorten_blocks
 from estimator.diagnosis.validation import transfer_to_validation
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import CHANNELS

@@ -9,7 +9,7 @@ import pytest
 from estimator.diagnosis import api
 from estimator.diagnosis.baseline import fit_baseline
 from estimator.diagnosis.dataset import build_dataset
-from estimator.diagnosis.measured_data import (
+from estimator.diagnosis.record import (
     prepare_record,
 )
 from estimator.diagnosis.screening import fit_candidates

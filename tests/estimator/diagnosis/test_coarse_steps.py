@@ -13,7 +13,7 @@ from estimator.diagnosis.dataset import (
     simulate_dataset,
 )
 from estimator.diagnosis.fit import build_initial_contexts, fit_model, shift_parameters
-from estimator.diagnosis.measured_data import prepare_record
+from estimator.diagnosis.record import prepare_record
 from estimator.diagnosis.scoring import Choice
 from estimator.diagnosis.settings import TimeBudget
 from estimator.effects import CATALOGUE

@@ -5,8 +5,8 @@ import pytest
 
 from estimator.diagnosis import report_text
 from estimator.diagnosis.api import diagnose_records
-from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.record import prepare_record
 from estimator.effects import CATALOGUE
 
 TIME = np.arange(1000) * 0.02

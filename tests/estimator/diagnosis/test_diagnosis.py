@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis import measured_data
+from estimator.diagnosis import record
 from estimator.diagnosis.api import diagnose_records
-from estimator.diagnosis.measured_data import RecordError, prepare_record
 from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.record import RecordError, prepare_record
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects import CATALOGUE, NAMES
 from studies import hidden
@@ -154,7 +154,7 @@ def test_a_long_record_is_thinned_and_its_turns_stay():
     ready = prepare_record(time, {"proximal_tension": T, "proximal_displacement": q})
     assert ready.decimation_factor == 3
     assert len(ready.time) <= SETTINGS.samples_max
-    few = measured_data.select_record_rows(ready, measured_data.select_subsample(ready, 500))
+    few = record.select_record_rows(ready, record.select_subsample(ready, 500))
     assert few.drive.max() == ready.drive.max()
     assert few.drive.min() == ready.drive.min()
 

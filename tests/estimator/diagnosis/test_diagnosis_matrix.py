@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.api import diagnose_records
-from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.record import prepare_record
 from estimator.effects import CATALOGUE, NAMES
 from estimator.effects.functions import build_functions
 from studies import hidden

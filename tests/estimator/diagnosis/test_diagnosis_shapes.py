@@ -5,7 +5,7 @@ import pytest
 
 from estimator.diagnosis.causes import select_simplest_cause
 from estimator.diagnosis.dataset import Model, build_dataset, simulate_dataset
-from estimator.diagnosis.measured_data import prepare_record
+from estimator.diagnosis.record import prepare_record
 from estimator.diagnosis.scoring import compute_errors
 from estimator.diagnosis.screening import Candidate
 from estimator.effects.ends import ANTAGONIST_TENSION, JOINT_FRICTION

@@ -14,7 +14,7 @@ from estimator.diagnosis.api import diagnose_records
 from estimator.diagnosis.baseline import fit_baseline
 from estimator.diagnosis.dataset import build_dataset, use_all_samples
 from estimator.diagnosis.fit import fit_record_parameters, refit_baseline
-from estimator.diagnosis.measured_data import prepare_record
+from estimator.diagnosis.record import prepare_record
 from estimator.effects import CATALOGUE
 
 GAIN, SPREAD, STRANDS = 0.85, 0.5, 80

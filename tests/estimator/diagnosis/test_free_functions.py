@@ -5,14 +5,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from estimator.diagnosis import characterisation, report_text
+from estimator.diagnosis import function_search, report_text
 from estimator.diagnosis.api import diagnose, diagnose_records, prepare_records
 from estimator.diagnosis.baseline import fit_baseline
-from estimator.diagnosis.characterisation import fit_functions
 from estimator.diagnosis.dataset import build_dataset
 from estimator.diagnosis.fit import fit_model
-from estimator.diagnosis.measured_data import RecordError, prepare_record
+from estimator.diagnosis.function_search import fit_functions
 from estimator.diagnosis.outcome import LiveError, Verdict
+from estimator.diagnosis.record import RecordError, prepare_record
 from estimator.diagnosis.settings import ignore_progress
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import PROXIMAL_DISPLACEMENT, EffectContext
@@ -198,10 +198,10 @@ def test_a_function_is_fitted_to_no_more_samples_of_a_long_record(monkeypatch):
         sizes.append(sum(len(record.time) for record in dataset.records))
         return fit_model(dataset, *others)
 
-    monkeypatch.setattr(characterisation, "fit_model", fit)
-    monkeypatch.setattr(characterisation, "FITTED_SIZE", 4000)
+    monkeypatch.setattr(function_search, "fit_model", fit)
+    monkeypatch.setattr(function_search, "FITTED_SIZE", 4000)
     dataset = build_dataset([prepare_record(made.time, dict(made.channels))])
     functions = [find_function("friction_by_position")]
     (found,) = fit_functions(dataset, fit_baseline(dataset), functions, ignore_progress)
     assert len(found.fit.simulated[0].signals["proximal_tension"]) == len(made.time)
-    assert 0.5 * characterisation.FITTED_SIZE < max(sizes) < characterisation.FITTED_SIZE
+    assert 0.5 * function_search.FITTED_SIZE < max(sizes) < function_search.FITTED_SIZE

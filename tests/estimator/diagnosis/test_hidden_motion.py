@@ -7,7 +7,7 @@ from estimator.diagnosis.baseline import fit_baseline
 from estimator.diagnosis.dataset import build_dataset
 from estimator.diagnosis.fit import refit_baseline
 from estimator.diagnosis.hidden_motion import propagate_driver_noise, recover_hidden_motion
-from estimator.diagnosis.measured_data import prepare_record
+from estimator.diagnosis.record import prepare_record
 from estimator.diagnosis.scoring import compute_errors
 from studies import hidden
 from studies.hidden.play_grid import make_grid

@@ -11,7 +11,7 @@ from estimator.diagnosis.api import diagnose_records
 from estimator.diagnosis.baseline import fit_baseline
 from estimator.diagnosis.dataset import build_dataset
 from estimator.diagnosis.learned import CORRECTED, compute_learned_gains, fit_learned_models
-from estimator.diagnosis.measured_data import prepare_record
+from estimator.diagnosis.record import prepare_record
 from estimator.diagnosis.scoring import compute_errors, join_errors
 from estimator.diagnosis.validation import Fold, fit_folds
 from studies import hidden

@@ -10,8 +10,8 @@ import pytest
 import estimator as est
 from estimator.diagnosis.api import diagnose
 from estimator.diagnosis.dataset import BaseLaw
-from estimator.diagnosis.measured_data import RecordError
 from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.record import RecordError
 from estimator.measured_data import Samples
 from estimator.units import ROTARY
 from studies import hidden

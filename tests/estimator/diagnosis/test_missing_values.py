@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import estimator as est
-from estimator.diagnosis.measured_data import RecordError, prepare_record
+from estimator.diagnosis.record import RecordError, prepare_record
 from estimator.measured_data import Samples
 from studies import hidden
 

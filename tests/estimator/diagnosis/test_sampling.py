@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis.measured_data import prepare_record
+from estimator.diagnosis.record import prepare_record
 from studies import hidden
 
 EVERY = 10  # samples of the simulation from one of the record to the next

@@ -7,7 +7,7 @@ from estimator.diagnosis import report_text
 from estimator.diagnosis.api import diagnose_records
 from estimator.diagnosis.baseline import fit_simple_models
 from estimator.diagnosis.dataset import build_dataset
-from estimator.diagnosis.measured_data import prepare_record
+from estimator.diagnosis.record import prepare_record
 from studies import hidden
 
 NOISE = 0.01  # [N]

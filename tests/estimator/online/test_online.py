@@ -9,7 +9,7 @@ from estimator.law.sheath import Section, Sheath
 from estimator.law.transmission import Phase, build_slack_profile, build_tables, simulate_tensions
 from estimator.online import online
 from estimator.online.online import Status, TendonEstimate, TendonModel
-from estimator.records import view_struct
+from estimator.structs import view_struct
 from studies.brute.chain import Chain, Force, Position
 from tests.estimator.law.bounds import envelope
 from tests.estimator.scenarios import HIDDEN, RATE, SCENARIOS, held, play, random_legs, spring

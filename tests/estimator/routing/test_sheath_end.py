@@ -13,13 +13,13 @@ from estimator.law.tables import build_tables
 from estimator.law.transmission import read_profile
 from estimator.online.estimator_state import prepare
 from estimator.online.tendon_model import TendonModel
-from estimator.records import view_struct
 from estimator.routing.sheath_end import (
     SheathPair,
     drive_tip,
     estimate_sheath_ends,
     start_sheath_end,
 )
+from estimator.structs import view_struct
 from studies.brute.chain import Chain, Force, Position
 
 SHEATH = Sheath((Section(0.3), Section(0.5, 0.25), Section(0.1)), 0.12, 9000.0)

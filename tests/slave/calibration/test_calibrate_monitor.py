@@ -9,7 +9,7 @@ import pytest
 from estimator.law.sheath import Sheath
 from estimator.law.transmission import Phase
 from estimator.online import online
-from estimator.records import to_struct, view_struct
+from estimator.structs import to_struct, view_struct
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice, MonitorConfig, TendonMonitor
 from slave.config import SlaveConfig, load_tendon_configs

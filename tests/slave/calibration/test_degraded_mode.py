@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import to_struct, view_struct
+from estimator.structs import to_struct, view_struct
 from slave.calibration import degraded_mode, monitor
 from slave.calibration.degraded_mode import RAMP_S, Degradation
 from slave.calibration.monitor import Advice, MonitorConfig, TendonMonitor

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from estimator.law.sheath import Section, Sheath
 from estimator.online.online import TendonModel
-from estimator.records import to_struct, view_struct
+from estimator.structs import to_struct, view_struct
 from slave.calibration import probing
 from slave.calibration.monitor import MonitorConfig, TendonMonitor
 from slave.calibration.probing import K_RATIO_MIN, Probe, ProbingConfig

@@ -6,7 +6,7 @@ import numpy as np
 
 from estimator.law.sheath import Sheath
 from estimator.online import online
-from estimator.records import to_struct, view_struct
+from estimator.structs import to_struct, view_struct
 from slave import fault_detection
 from slave.fault_detection import FaultDetectionConfig
 from slave.fault_detection.wound_length import compute_compliance, compute_elongation_min

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from estimator.records import to_struct
+from estimator.structs import to_struct
 from slave.fault_detection import (
     FaultDetectionConfig,
     MotorChecks,

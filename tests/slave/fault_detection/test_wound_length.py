@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estimator.law.sheath import Sheath
-from estimator.records import to_struct, view_struct
+from estimator.structs import to_struct, view_struct
 from slave.fault_detection import FaultDetectionConfig
 from slave.fault_detection.wound_length import (
     CheckedTendon,

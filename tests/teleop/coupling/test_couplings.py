@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.compiled import jit_compile
-from estimator.records import U64, Field, Struct, view_struct
+from estimator.structs import U64, Field, Struct, view_struct
 from teleop import coupling
 from teleop.coupling import (
     Bilateral,

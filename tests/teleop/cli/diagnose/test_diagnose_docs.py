@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from estimator.diagnosis.api import diagnose_records
-from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.record import prepare_record
 from estimator.effects import Effect
 from studies import hidden
 from teleop.cli.diagnose.diagnosis_run import parse_effects

@@ -8,8 +8,8 @@ import pytest
 
 from estimator.diagnosis import report_tables, report_text
 from estimator.diagnosis.api import diagnose_records
-from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import DetectionLimit, FittedValue, Verdict
+from estimator.diagnosis.record import prepare_record
 from estimator.diagnosis.residual_structure import ResidualDependence
 from estimator.diagnosis.sampling import DataIssue
 from estimator.units import format_quantity

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from estimator.diagnosis import figures as diagnosis_figures
 from estimator.diagnosis import report_text as diagnosis_text
 from estimator.diagnosis.outcome import Diagnosis
-from estimator.drawing import format_html_report, use_style
+from estimator.figure_style import format_html_report, use_style
 from estimator.pair import figures as pair_figures
 from estimator.pair import report_text as pair_text
 from estimator.pair.pair_study import PairStudy

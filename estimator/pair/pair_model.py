@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator import signals
+from estimator import noise_treatment
 from estimator.array_types import Array
 from estimator.lumped.lumped_model import Motion, Physics, simulate_by_tension, simulate_by_travel
 from estimator.lumped.nodes import PLACES, build_even_weights
@@ -104,7 +104,9 @@ def combine_tendons(model: PairModel, a: Motion, b: Motion) -> PairMotion:
     """Return what the joint makes of two tendons; only its own parameters matter."""
     pull = (a.distal_tension - b.distal_tension) / model.stiffness + model.neutral
     # the play of the joint's friction begins at zero
-    angle = signals.apply_play(np.append(0.0, pull), model.joint_friction / model.stiffness)[1:]
+    angle = noise_treatment.apply_play(
+        np.append(0.0, pull), model.joint_friction / model.stiffness
+    )[1:]
     return PairMotion(angle, a.proximal_tension, b.proximal_tension)
 
 

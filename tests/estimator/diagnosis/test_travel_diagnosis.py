@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis.measured_data import RecordError
 from estimator.diagnosis.outcome import Verdict
-from estimator.diagnosis.travel_pair import diagnose_travels
+from estimator.diagnosis.record import RecordError
+from estimator.diagnosis.travel_diagnosis import diagnose_travels
 from estimator.measured_data import Samples
 from studies import hidden
 from teleop.cli import commands

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from estimator.law.sheath import Sheath
+from estimator.noise_treatment import Treatment, estimate_noise_sigma, update_variance
 from estimator.online import online
 from estimator.online.online import TendonModel
-from estimator.signals import Treatment, estimate_noise_sigma, update_variance
 
 FRICTIONLESS = Sheath.uniform(0.0, 1.5, 9000.0)
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from estimator.text_table import Table
+from estimator.report_table import Table
 
 _WORD_LENGTH = 12  # [letters] that stay together in a cell
 

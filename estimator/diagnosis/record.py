@@ -245,7 +245,7 @@ def prepare_record(
     """
     signals = mark_missing(signals)
     _validate_signals(time, signals, units)
-    has_tension = PROXIMAL_TENSION in signals  # else two travels, see travel_pair.py
+    has_tension = PROXIMAL_TENSION in signals  # else two travels, see travel_diagnosis.py
     loop = has_tension and (is_loop(units, [signals]) if loop is None else loop)
     if loop and PROXIMAL_DISPLACEMENT not in signals:
         raise RecordError(

@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numba.core.caching import NullCache
 
-from estimator import arrays
+from estimator import small_arrays
 from estimator.compiled import jit_compile
 
 NUMBERS = st.floats(-1e6, 1e6)
@@ -11,7 +11,7 @@ NUMBERS = st.floats(-1e6, 1e6)
 
 @given(st.lists(NUMBERS, min_size=1, max_size=99))
 def test_the_median_is_numpys(numbers):
-    assert arrays.compute_median(np.array(numbers)) == np.median(numbers)
+    assert small_arrays.compute_median(np.array(numbers)) == np.median(numbers)
 
 
 @given(
@@ -21,7 +21,7 @@ def test_the_median_is_numpys(numbers):
 )
 def test_interpolation_is_numpys_to_the_last_bit(places, data, x):
     values = data.draw(st.lists(NUMBERS, min_size=len(places), max_size=len(places)))
-    found = arrays.interpolate(x, np.array(places), np.array(values))
+    found = small_arrays.interpolate(x, np.array(places), np.array(values))
     np.testing.assert_equal(found, np.interp(x, places, values))
 
 

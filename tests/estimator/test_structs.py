@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.compiled import jit_compile
-from estimator.records import (
+from estimator.structs import (
     F64,
     I64,
     U64,

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array, Mask
-from estimator.diagnosis.measured_data import Record, RecordError, prepare_record
 from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.record import Record, RecordError, prepare_record
 from estimator.diagnosis.sampling import drop_missing
 from estimator.diagnosis.scoring import (
     ChannelErrors,
@@ -41,9 +41,9 @@ from estimator.fitting import (
     build_interval,
     compute_clustered_errors,
 )
+from estimator.hysteresis_operators import apply_widening_play
 from estimator.measured_data import MeasuredData
-from estimator.record_hysteresis import apply_widening_play
-from estimator.signals import apply_play
+from estimator.noise_treatment import apply_play
 from estimator.spline import evaluate_spline
 from estimator.units import LINEAR, Units
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from estimator.pair import pair_study
-from estimator.pair.pair import PairModel, simulate_by_command, simulate_by_tensions
 from estimator.pair.pair_fit import PairError, PairVariant, fit
+from estimator.pair.pair_model import PairModel, simulate_by_command, simulate_by_tensions
 from estimator.pair.pair_study import (
     compute_offset_share,
 )
