@@ -3,9 +3,9 @@
 S. J. Phee, S. C. Low, P. Valdastri, A. Menciassi, P. Dario, "Tendon sheath analysis for estimation
 of distal end force and elongation", 2009. They describe one full pull from slack, then one release,
 then one pull. `estimator.law.transmission` contains them and goes on from there; nothing in the
-estimator calls this module, and the equations that nothing but tests evaluates are beside those.
-Where the printed equation differs, the docstring says how (docs/explanation/theory.md has the
-table). Functions of tensions and positions take scalars or arrays.
+estimator calls this module. Where the printed equation differs, the docstring says how
+(docs/explanation/theory.md has the table). Functions of tensions and positions take scalars or
+arrays.
 
 Symbols: tensions T [N]; friction coordinate K of the tip; length L and bend radii R [m]; axial
 rigidity EA [N], printed as E; elongation e [m]; T_in0 the tension at the last reversal.
