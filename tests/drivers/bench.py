@@ -44,6 +44,17 @@ def dynamixel(port: str, **settings) -> DynamixelConfig:
 
 
 @contextlib.contextmanager
+def running(model):
+    """Let a model of hardware run in a thread of its own."""
+    thread = model.start()
+    try:
+        yield model
+    finally:
+        model.ended = True
+        thread.join()
+
+
+@contextlib.contextmanager
 def opened(config: HardwareRigConfig):
     rig = HardwareRig(config)
     try:

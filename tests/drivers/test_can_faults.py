@@ -18,6 +18,7 @@ from slave.drivers.cia402.tools import Cia402Reader
 from slave.drivers.driver import Channels, DriverFault
 from studies.rigs.models.drives import Drives, SlcanAdapter
 from studies.rigs.models.line import PseudoPort
+from tests.drivers.bench import running
 
 NO_ACKNOWLEDGE = "no node acknowledges frames: are the drives powered and connected, bit rate"
 
@@ -60,11 +61,8 @@ class FieldDrives(Drives):
 
 @pytest.fixture
 def drives():
-    drives = FieldDrives()
-    thread = drives.start()
-    yield drives
-    drives.ended = True
-    thread.join()
+    with running(FieldDrives()) as drives:
+        yield drives
     drives.bus.shutdown()
 
 
@@ -73,13 +71,8 @@ def config_on(port_name, **settings):
     return Cia402Config(bus=bus, **{"rate_hz": 50.0, "timeout": 0.5} | settings)
 
 
-@contextlib.contextmanager
 def reader(port_name, numbers=(1,)):
-    opened = Cia402Reader(config_on(port_name), Channels(numbers, numbers, True))
-    try:
-        yield opened
-    finally:
-        opened.close()
+    return contextlib.closing(Cia402Reader(config_on(port_name), Channels(numbers, numbers, True)))
 
 
 def start_error(port_name, numbers=(1,)):
@@ -160,11 +153,8 @@ def abort(drives, wanted, code):
 def test_a_mapping_that_is_refused_is_named_by_its_object_and_bits(drives):
     abort(drives, bytes.fromhex("001a02"), 0x06040041)
     driver = Cia402Driver(config_on(drives.port_name), Channels((1,), ()))
-    try:
-        with pytest.raises(DriverFault) as fault:
-            driver.start()
-    finally:
-        driver.close()
+    with pytest.raises(DriverFault) as fault, contextlib.closing(driver):
+        driver.start()
     assert str(fault.value) == (
         "drive 1 object 1A00:2 = 6064:0, 32 bits: Code 0x06040041, Object cannot be mapped to the "
         "PDO: its mapping is fixed: choose a mapping with these objects by its own tool"
@@ -332,15 +322,13 @@ def test_an_error_number_of_the_system_is_told_with_the_next_step(monkeypatch, e
 
 def test_silence_while_running_is_told_with_the_reason(drives):
     driver = Cia402Driver(config_on(drives.port_name), Channels((1,), ()))
-    try:
+    with contextlib.closing(driver):
         driver.start()
         driver.run_cycle(None)
         drives.silent = True
         drives.bus.port.write(b"\a" * 3)
         with pytest.raises(DriverFault, match=rf"node 1 silent for \d+ ms: {NO_ACKNOWLEDGE}"):
             cycle_on(driver)
-    finally:
-        driver.close()
 
 
 @pytest.mark.parametrize("interface", ["pcan", "gs_usb"])

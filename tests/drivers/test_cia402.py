@@ -49,7 +49,16 @@ from teleop.messages.topics import COMMAND, STOP, Role
 from teleop.remote.request_listener import CALL, RESET
 from teleop.runtime.clock import EventClock
 from teleop.session.state_machine import Reason, State
-from tests.drivers.bench import engage, follow, opened, read_for, read_some, rig_config, wait_until
+from tests.drivers.bench import (
+    engage,
+    follow,
+    opened,
+    read_for,
+    read_some,
+    rig_config,
+    running,
+    wait_until,
+)
 from tests.tick.memory_link import MemoryLink
 
 SLOW = pytest.mark.slow
@@ -58,12 +67,9 @@ SLOW = pytest.mark.slow
 @pytest.fixture
 def drives():
     port = PseudoPort()
-    drives = Drives(SlcanAdapter(port), numbers=(1, 2))
-    drives.port_name = port.name
-    thread = drives.start()
-    yield drives
-    drives.ended = True
-    thread.join()
+    with running(Drives(SlcanAdapter(port), numbers=(1, 2))) as drives:
+        drives.port_name = port.name
+        yield drives
     drives.bus.shutdown()
 
 

@@ -22,6 +22,7 @@ from tests.drivers.bench import (
     read_for,
     read_some,
     rig_config,
+    running,
     tendon,
 )
 
@@ -37,20 +38,14 @@ def buses(library):
     servos = Servos(numbers=(1,))
     board = Board(library, motors=0, cells=1, plant=servos.plant)
     board.plant = Followed(servos)
-    threads = [servos.start(), board.start()]
-    yield servos, board
-    servos.ended = board.ended = True
-    for thread in threads:
-        thread.join()
+    with running(servos), running(board):
+        yield servos, board
 
 
 @pytest.fixture
 def board(library):
-    board = Board(library, motors=3, cells=3)
-    thread = board.start()
-    yield board
-    board.ended = True
-    thread.join()
+    with running(Board(library, motors=3, cells=3)) as board:
+        yield board
 
 
 class Followed:

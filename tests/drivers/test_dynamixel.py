@@ -49,6 +49,7 @@ from tests.drivers.bench import (
     read_for,
     read_some,
     rig_config,
+    running,
     wait_until,
 )
 
@@ -57,11 +58,8 @@ SCALE = NEWTONS / CURRENT_UNIT  # [N/A] of the servos' currents
 
 @pytest.fixture
 def servos():
-    servos = Servos(numbers=(1, 2))
-    thread = servos.start()
-    yield servos
-    servos.ended = True
-    thread.join()
+    with running(Servos(numbers=(1, 2))) as servos:
+        yield servos
 
 
 def config_on(servos, **settings):
@@ -385,20 +383,15 @@ class Twins(Servos):
         write(answer[:9] + bytes(byte & 0xA5 for byte in answer[9:]))
 
 
-@pytest.fixture
-def twins():
-    servos = Twins(numbers=(2,))
-    thread = servos.start()
-    yield dynamixel(servos.port.name)
-    servos.ended = True
-    thread.join()
-
-
-def test_two_servos_of_one_number_are_named(twins):
-    reader = DynamixelReader(twins, Channels((2,), (), True))
-    with pytest.raises(DriverFault, match=r"servo 2: damaged .*; two servos of this number\?"):
+def test_two_servos_of_one_number_are_named():
+    with (
+        running(Twins(numbers=(2,))) as twins,
+        pytest.raises(DriverFault, match=r"servo 2: damaged .*; two servos of this number\?"),
+        contextlib.closing(
+            DynamixelReader(dynamixel(twins.port.name), Channels((2,), (), True))
+        ) as reader,
+    ):
         reader.start()
-    reader.close()
 
 
 def test_a_servo_that_is_not_there_is_named_once_the_others_are_reset(servos):

@@ -35,17 +35,15 @@ from tests.drivers.bench import (
     read_for,
     read_some,
     rig_config,
+    running,
     wait_until,
 )
 
 
 @pytest.fixture
 def board(library):
-    board = Board(library, motors=2, cells=2)
-    thread = board.start()
-    yield board
-    board.ended = True
-    thread.join()
+    with running(Board(library, motors=2, cells=2)) as board:
+        yield board
 
 
 def moving(board):
@@ -175,11 +173,9 @@ def test_a_board_with_another_watchdog_than_asked_for_is_refused(board, monkeypa
     parse = frames.parse_info
     monkeypatch.setattr(frames, "parse_info", lambda body: parse(body)._replace(watchdog_ms=500))
     driver = MicrocontrollerDriver(microcontroller(board.port.name), Channels((1,), (1,)))
-    try:
-        with pytest.raises(DriverFault, match="watchdog is 500 ms, 40 ms was asked for"):
-            driver.start()
-    finally:
-        driver.close()
+    said = "watchdog is 500 ms, 40 ms was asked for"
+    with pytest.raises(DriverFault, match=said), contextlib.closing(driver):
+        driver.start()
 
 
 @pytest.mark.slow
