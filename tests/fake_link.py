@@ -3,7 +3,7 @@
 from contextlib import nullcontext
 
 from teleop.errors import PeerError
-from teleop.link import LatestMessage
+from teleop.link import LatestMessage, ReceivedMessage
 from teleop.link.rate_limit import RefusalCounter
 from teleop.messages.messages import NO_TOPICS, decode_text
 from teleop.messages.topics import EVENT, SETTING, STOP
@@ -83,6 +83,12 @@ class FakeLink:
 
     def said(self):
         return [decode_text(event.text) for event in self.of(EVENT)]
+
+
+def receive(topic, message, sequence=1, sender=77):
+    """Return what a link hands over of a message from another process."""
+    data = message.pack(sender, sequence, now_ns())
+    return ReceivedMessage(topic, data, now_ns(), sender, sequence, now_ns())
 
 
 class Until:

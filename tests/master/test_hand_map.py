@@ -250,32 +250,47 @@ def test_forces_on_the_hand_stay_in_bounds_and_are_felt_by_the_joints(matrix, la
     assert (grown <= config.slew * min(dt, 0.005) + 1e-9).all()
 
 
+class RenderRun(SpaceRun):
+    """The same with the rest of the master, and a slave that tells forces on the joints [N]."""
+
+    def __init__(self, hand=HAND):
+        super().__init__(hand)
+        self.states, self.commands = message_records(SlaveState), message_records(Command)
+        self.now, self.ticks, self.force = 10**18, 0, np.zeros(8)
+
+    def render(self, config, hand, forces):
+        """Run a tick; return how far it moved the mapped hand."""
+        self.now, states, travel = self.now + 10**6, self.states, self.travel
+        engage = self.ticks > 20
+        fill_hand_input(self.hands, HandState(tuple(hand), (0.0,) * self.axes, engage))
+        states["state"] = int(State.READY if self.ticks < 22 else State.ENGAGED)
+        states["sender"], states["joints"] = 7, 4
+        states["echo_stamp_ns"] = states["stamp_ns"] = self.now - 10**6
+        for name, width in (("force", 0.0), ("force_low", -0.5), ("force_high", 0.5)):
+            states[name][0, :4] = forces + width
+        self.mapper.step(self.hands, self.memories, config.operator.position_scale, DT)
+        self.travel = self.mapper.mapped_hands["position"][0, :4].copy()
+        settings = SettingsRecord(config, Bilateral()).records
+        given = loop.TickInput(DT, self.now, True, 10**6)
+        inputs = settings, self.memories, self.hands, self.mapper.mapped_hands, states, given
+        loop.compute_command(*inputs, self.commands)
+        loop.compute_force(*inputs, self.mapper.maps, False, self.force)
+        self.ticks += 1
+        return self.travel - travel
+
+
 def test_torques_in_the_hand_have_limits_of_their_own_and_do_their_work():
     """On the axes that turn, in newton metres: size, growth, and power with the joints'."""
     axes = ("x", "y", "z", "roll", "pitch", "yaw", "grip")
-    run, config = SpaceRun(SpaceHandConfig(axes=axes)), MasterConfig()
-    settings = SettingsRecord(config, Bilateral()).records
-    states, commands = message_records(SlaveState), message_records(Command)
-    now, force, hand, largest, turnover = 10**18, np.zeros(8), np.zeros(7), np.zeros(7), 0.0
+    run, config = RenderRun(SpaceHandConfig(axes=axes)), MasterConfig()
+    hand, largest, turnover = np.zeros(7), np.zeros(7), 0.0
     for i in range(400):
-        now, before, last = now + 10**6, hand, force.copy()
+        before, last, joint_force = hand, run.force.copy(), np.array(run.memory.joint_force[:4])
         hand = 0.05 * np.sin(0.01 * i * np.array([0.2, 0.3, 0.2, 1.0, 1.3, 0.7, 0.1]))
-        fill_hand_input(run.hands, HandState(tuple(hand), (0.0,) * 7, engage=i > 20))
-        states["state"] = int(State.READY if i < 22 else State.ENGAGED)
-        states["sender"], states["joints"] = 7, 4
-        states["echo_stamp_ns"] = states["stamp_ns"] = now - 10**6
-        for name, width in (("force", 0.0), ("force_low", -0.5), ("force_high", 0.5)):
-            states[name][0, :4] = np.array([30.0, -20.0, 40.0, 0.0]) + width
-        travel = run.mapper.mapped_hands["position"][0, :4].copy()
-        run.mapper.step(run.hands, run.memories, SCALE, DT)
-        moved = run.mapper.mapped_hands["position"][0, :4] - travel
-        given = loop.TickInput(DT, now, True, 10**6)
-        inputs = settings, run.memories, run.hands, run.mapper.mapped_hands, states, given
-        work = last[:7] @ (hand - before)
-        told = np.array(run.memory.joint_force[:4]) @ moved
-        assert work == pytest.approx(told, abs=0.02 * np.abs(last[:7]) @ np.abs(hand - before))
-        loop.compute_command(*inputs, commands)
-        loop.compute_force(*inputs, run.mapper.maps, False, force)
+        moved = run.render(config, hand, np.array([30.0, -20.0, 40.0, 0.0]))
+        work, force = last[:7] @ (hand - before), run.force
+        tolerance = 0.02 * np.abs(last[:7]) @ np.abs(hand - before)
+        assert work == pytest.approx(joint_force @ moved, abs=tolerance)
         largest, turnover = np.maximum(largest, np.abs(force[:7])), turnover + abs(work)
         grown = np.abs(force) - np.abs(last)
         assert grown[3:6].max() <= config.force.slew * config.gate.torque_lever * DT + 1e-12
@@ -293,39 +308,22 @@ def test_what_the_joints_are_said_to_feel_is_what_the_hand_gets():
 
     Each force is held while the map changes in a tick, which the ledger need not see.
     """
-    run = SpaceRun()
-    config = MasterConfig()
-    settings = SettingsRecord(config, Bilateral()).records
-    states, commands = message_records(SlaveState), message_records(Command)
-    now, force, most = 10**18, np.zeros(8), 0.0
+    run, config, rng = RenderRun(), MasterConfig(), np.random.default_rng(5)
     ports, counted, given_out, turnover = run.memories["coupling"]["ports"], 0.0, 0.0, 0.0
-    rng = np.random.default_rng(5)
-    hand = np.zeros(4)
+    hand, most, force = np.zeros(4), 0.0, run.force
     for i in range(400):
-        now += 10**6
         before, hand = hand, 0.01 * np.sin(0.01 * i * np.array([1.0, 1.3, 0.7, 0.5]))
-        fill_hand_input(run.hands, HandState(tuple(hand), (0.0,) * 4, engage=i > 20))
-        states["state"] = int(State.READY if i < 22 else State.ENGAGED)
-        states["sender"], states["joints"] = 7, 4
-        states["echo_stamp_ns"] = states["stamp_ns"] = now - 10**6
         if i == 200:
             config = MasterConfig(operator=OperatorConfig(position_scale=0.4))
-            settings = SettingsRecord(config, Bilateral()).records
-        run.scale = settings["operator"]["position_scale"][0]
         if i % 50 == 0:
             torque = 8.0 * rng.uniform(-1.0, 1.0, 4)
-        for name, width in (("force", 0.0), ("force_low", -0.5), ("force_high", 0.5)):
-            states[name][0, :4] = torque + width
-        run.mapper.step(run.hands, run.memories, run.scale, DT)
-        given = loop.TickInput(DT, now, True, 10**6)
-        inputs = settings, run.memories, run.hands, run.mapper.mapped_hands, states, given
         work = force[:4] @ (hand - before)
         total = (ports["taken_out"] - ports["put_in"]).sum()
-        loop.compute_command(*inputs, commands)
+        run.render(config, hand, torque)
         total = (ports["taken_out"] - ports["put_in"]).sum() - total
-        counted, given_out = counted + total * config.force.scale / run.scale, given_out + work
+        scale = config.operator.position_scale
+        counted, given_out = counted + total * config.force.scale / scale, given_out + work
         turnover += abs(work)
-        loop.compute_force(*inputs, run.mapper.maps, False, force)
         matrix = run.mapper.maps["matrix"][0, :4, :4]
         told = matrix.T @ np.array(run.memory.joint_force[:4])
         assert (np.abs(told) <= np.abs(force[:4]) + 1e-12).all()

@@ -8,7 +8,6 @@ from master.config import MasterConfig
 from master.device import DeviceFault, DeviceLost, HandState
 from master.process import LATE_ANSWERS_MAX, RETRY_TICKS, MasterProcess
 from teleop.errors import PeerError, TeleopError
-from teleop.link import ReceivedMessage
 from teleop.messages.messages import (
     Command,
     EmergencyStop,
@@ -21,7 +20,6 @@ from teleop.messages.messages import (
 from teleop.messages.topics import (
     ANSWER,
     COMMAND,
-    EVENT,
     HAND,
     REPORT,
     SETTING,
@@ -31,10 +29,10 @@ from teleop.messages.topics import (
 )
 from teleop.remote.request_listener import CALL, RESET
 from teleop.runtime import clock as runtime_clock
-from teleop.runtime.clock import Grid, now_ns
+from teleop.runtime.clock import Grid
 from teleop.session.loop_process import run
 from teleop.session.state_machine import Reason, State, to_outline
-from tests.fake_link import ON_THE_WAY, FakeLink, Until
+from tests.fake_link import ON_THE_WAY, FakeLink, Until, receive
 from tests.tick.clock import StandingClock
 
 
@@ -161,7 +159,7 @@ def test_whatever_goes_wrong_the_end_is_told_and_the_hand_left_without_force(fai
         driven(device, line)
     assert line.of(COMMAND)[-1] == Command()
     assert line.of(REPORT)[-1].ended == 1
-    assert decode_text(line.of(EVENT)[-1].text) == "off: ended"
+    assert line.said()[-1] == "off: ended"
     assert fails == "write_fails_at" or device.forces[-1] == (0.0,)
 
 
@@ -236,8 +234,7 @@ def test_axes_and_joints_that_do_not_match_are_told_once(joints, said):
     line = ObedientLink()
     line.told = {"joints": joints}
     driven(Stylus(), line, ticks=130, rate_hz=100.0)
-    texts = [decode_text(event.text) for event in line.of(EVENT)]
-    assert [text for text in texts if text.startswith("WARNING: the device")] == said
+    assert [text for text in line.said() if text.startswith("WARNING: the device")] == said
 
 
 @pytest.mark.parametrize("fails", ["read_fails_at", "write_fails_at"])
@@ -252,8 +249,7 @@ def test_a_device_that_fails_ends_the_session_in_fault_and_without_force(fails):
         assert device.forces[-1] == (0.0,)
     last = line.of(COMMAND)[-2]
     assert (last.state, last.reason) == (State.FAULT, Reason.DEVICE_FAULT)
-    texts = [decode_text(event.text) for event in line.of(EVENT)]
-    assert texts[-2:] == [f"fault: {Reason.DEVICE_FAULT.text}", f"off: {master.error}"]
+    assert line.said()[-2:] == [f"fault: {Reason.DEVICE_FAULT.text}", f"off: {master.error}"]
 
 
 def freezing(monkeypatch, phase, at, decided, what):
@@ -299,17 +295,20 @@ def test_one_that_froze_before_it_commanded_commands_what_it_then_knows(monkeypa
     assert device.forces[29] == (0.0,)
 
 
-class LetGo(Stylus):
-    """A device whose switch is let go of in one tick."""
+class Changed(Stylus):
+    """A device whose hand is changed by `change(number of the read)`."""
+
+    def __init__(self, change):
+        super().__init__()
+        self.change = change
 
     def read(self, time_s):
-        hand = super().read(time_s)
-        return replace(hand, engage=hand.engage and self.reads < 30)
+        return replace(super().read(time_s), **self.change(self.reads))
 
 
 def test_a_hand_that_let_go_is_without_force_in_that_tick_though_both_decisions_froze(monkeypatch):
     freezing(monkeypatch, "compute_command", (30, 31), [], lambda _: None)
-    device = LetGo()
+    device = Changed(lambda n: {"engage": 5 < n < 30})
     _, line, _ = driven(device)
     assert device.forces[28][0] < -0.1
     assert device.forces[29] == (0.0,)
@@ -356,8 +355,7 @@ def test_a_device_that_is_looked_for_is_a_fault_told_once_and_the_master_goes_on
     assert set(states[19:]) == {(State.FAULT, Reason.DEVICE_FAULT)}
     assert set(device.forces[20:]) == {(0.0,)}
     assert len(line.of(HAND)) == 60
-    texts = [decode_text(event.text) for event in line.of(EVENT)]
-    assert texts[-4:] == [
+    assert line.said()[-4:] == [
         f"fault: {Reason.DEVICE_FAULT.text}",
         "haptic device: pulled out",
         "haptic device: it is back; let go of everything, then engage",
@@ -380,9 +378,8 @@ def test_after_a_suspension_the_hand_is_lost_with_any_device(clock, monkeypatch)
     assert set(device.forces[40:]) == {(0.0,)}  # the switch is still held
     states = {(State(c.state), Reason(c.reason)) for c in line.of(COMMAND)[40:]}
     assert states == {(State.FAULT, Reason.DEVICE_FAULT)}
-    texts = [decode_text(event.text) for event in line.of(EVENT)]
     told = "haptic device: the machine was suspended for 5.0 s: start or engage again"
-    assert sum(text.startswith(told) for text in texts) == 1
+    assert sum(text.startswith(told) for text in line.said()) == 1
     assert master.error is None
     assert device.reads == 59
 
@@ -397,19 +394,13 @@ def test_a_second_master_ends_the_session():
     assert device.forces[-1] == (0.0,)
 
 
-def called(topic, message, sender=77, sequence=1):
-    """What `link` hands over of a message from another process."""
-    data = message.pack(sender, sequence, now_ns())
-    return ReceivedMessage(topic, data, now_ns(), sender, sequence, now_ns())
-
-
 def test_a_call_for_a_stop_is_obeyed_in_the_tick_told_with_its_words_and_reset():
     device, line = Stylus(), ObedientLink()
     master, run_on = ticking(line, device)
 
     def asked(action, ticks=1, **fields):
         message = EmergencyStop(role=Role.REMOTE, action=action, **fields)
-        line.heard = [called(STOP, message)]
+        line.heard = [receive(STOP, message)]
         run_on(ticks)
         assert device.forces[-1] == (0.0,)
         return to_outline(master.memory.session)
@@ -418,8 +409,7 @@ def test_a_call_for_a_stop_is_obeyed_in_the_tick_told_with_its_words_and_reset()
     assert device.forces[-1][0] < 0.0
     assert asked(CALL, text=encode_text("a nurse")).state == State.STOPPED
     assert line.of(COMMAND)[-1].state == State.STOPPED
-    told = decode_text(line.of(EVENT)[-1].text)
-    assert told == f"stopped: {Reason.STOP_CALLED.text}: remote: a nurse"
+    assert line.said()[-1] == f"stopped: {Reason.STOP_CALLED.text}: remote: a nurse"
     assert [decode_text(call.text) for call in line.of(STOP)] == ["remote: a nurse"]  # relayed
     run_on(20)
     stops = line.of(COMMAND)[-1].stops
@@ -430,39 +420,26 @@ def test_a_call_for_a_stop_is_obeyed_in_the_tick_told_with_its_words_and_reset()
     assert reset == (State.READY, Reason.RELEASE_FIRST)
 
 
-class RedButton(Stylus):
-    def read(self, time_s):
-        hand = super().read(time_s)
-        return replace(hand, stop=self.reads in range(20, 25))
-
-
 def test_the_button_of_the_device_is_called_out_once_to_everybody():
-    _, line, _ = driven(RedButton())
+    _, line, _ = driven(Changed(lambda n: {"stop": n in range(20, 25)}))
     (call,) = line.of(STOP)
     assert (call.role, call.action) == (Role.MASTER, CALL)
     assert decode_text(call.text) == Reason.EMERGENCY_STOP.text
 
 
-class Pad(Stylus):
+def test_each_press_of_a_button_without_a_function_is_an_event_bounded_in_rate():
     """Button 2 is held for some reads, button 3 bounces at every one."""
 
-    def read(self, time_s):
-        hand = super().read(time_s)
-        held = (2,) * (self.reads in range(20, 60)) + (3,) * (self.reads > 100 and self.reads % 2)
-        return replace(hand, buttons=held)
+    def press(n):
+        return {"buttons": (2,) * (n in range(20, 60)) + (3,) * (n > 100 and n % 2)}
 
-
-def test_each_press_of_a_button_without_a_function_is_an_event_bounded_in_rate():
     line = ObedientLink()
-    _, run_on = ticking(line, Pad())
+    _, run_on = ticking(line, Changed(press))
     run_on(90)
-    presses = [decode_text(e.text) for e in line.of(EVENT) if b"button" in bytes(e.text)]
-    assert presses == ["button 2 pressed"]
+    assert [text for text in line.said() if "button" in text] == ["button 2 pressed"]
     run_on(1000)
-    presses = [decode_text(e.text) for e in line.of(EVENT) if b"button 3" in bytes(e.text)]
-    assert 10 <= len(presses) <= 20
-    refusals = [decode_text(e.text) for e in line.of(EVENT) if b"came too fast" in bytes(e.text)]
-    assert 1 <= len(refusals) <= 3
+    assert 10 <= sum("button 3" in text for text in line.said()) <= 20
+    assert 1 <= sum("came too fast" in text for text in line.said()) <= 3
 
 
 def test_a_setting_is_changed_told_and_answered_and_a_refused_one_says_why():
@@ -470,7 +447,7 @@ def test_a_setting_is_changed_told_and_answered_and_a_refused_one_says_why():
     _, run_on = ticking(line, Stylus())
     wishes = [("operator.position_scale", "0.1"), ("force.limit", "9"), ("force.scale", "99")]
     line.heard = [
-        called(SETTING, Setting(key=encode_text(key), value=encode_text(value)), sequence=k)
+        receive(SETTING, Setting(key=encode_text(key), value=encode_text(value)), k)
         for k, (key, value) in enumerate(wishes, start=1)
     ]
     run_on(1)
@@ -484,4 +461,4 @@ def test_a_setting_is_changed_told_and_answered_and_a_refused_one_says_why():
     assert texts[0] == "operator.position_scale = 0.1"
     assert "force.limit: cannot be changed while the master runs (allowed: force.scale" in texts[1]
     assert "master.force.scale: must be 0 to 10" in texts[2]
-    assert any("set: operator.position_scale = 0.1" in decode_text(e.text) for e in line.of(EVENT))
+    assert any("set: operator.position_scale = 0.1" in text for text in line.said())

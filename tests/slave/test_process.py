@@ -16,7 +16,6 @@ from slave.process import CalibrationHistory, SlaveProcess
 from slave.rig import RigFault, RigFinished, RigSample
 from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
 from teleop.errors import PeerError, TeleopError
-from teleop.link import ReceivedMessage
 from teleop.messages.messages import (
     MAX_JOINTS,
     Command,
@@ -41,7 +40,7 @@ from teleop.runtime.clock import EventClock, now_ns
 from teleop.session.config import RunConfig
 from teleop.session.loop_process import run
 from teleop.session.state_machine import Reason, State, to_outline
-from tests.fake_link import FakeLink, Until
+from tests.fake_link import FakeLink, Until, receive
 from tests.tick.clock import StandingClock
 
 TENDON = TendonConfig(effective_friction=0.8)
@@ -192,8 +191,7 @@ def stop_message(action, sequence, sender=77, **settings):
     message = EmergencyStop(
         role=Role.REMOTE, action=action, text=encode_text("a nurse"), **settings
     )
-    data = message.pack(sender, sequence, now_ns())
-    return ReceivedMessage(STOP, data, now_ns(), sender, sequence, now_ns())
+    return receive(STOP, message, sequence, sender)
 
 
 def side_of(slave):
@@ -254,18 +252,11 @@ def test_a_rig_that_fails_ends_the_session_in_fault_and_is_left_alone(fails):
     assert isinstance(slave.error, TeleopError)
     assert str(slave.error) == stop.reason == "rig: the amplifier has tripped"
     assert rig.after_fault == 0
+    assert line.of(TENDONS)[-1].commanded_displacement[0] == rig.writes[-1][0]  # what was done
     for state in line.of(STATE)[-2:]:  # also the one that may be the only one seen
         assert (state.state, state.reason) == (State.FAULT, Reason.RIG_FAULT)
     assert line.said()[-2:] == [f"fault: {Reason.RIG_FAULT.text}", f"off: {slave.error}"]
     assert slave.summarise().reason.reason is Reason.RIG_FAULT
-
-
-def test_a_rig_that_fails_to_advance_has_moved_where_it_was_told_to():
-    rig = FakeRig(advance_fails_at=20)
-    _, line, _ = driven(rig)
-    assert line.of(TENDONS)[-1].commanded_displacement[0] == rig.writes[-1][0]
-    assert len(line.of(TENDONS)) == 20
-    assert sum(state.joints == 0 for state in line.of(STATE)) == 1  # the last word alone
 
 
 def test_a_command_is_answered_with_its_stamp_and_the_time_that_it_took():
@@ -392,12 +383,6 @@ def test_what_is_estimated_in_advance_is_what_would_be_estimated_from_the_sample
     assert len({tension for _, tension, *_ in told[0]}) > 20
 
 
-def test_what_a_failed_write_asked_for_is_not_told_as_done():
-    rig = FakeRig(write_fails_at=20)
-    _, line, _ = driven(rig)
-    assert line.of(TENDONS)[-1].commanded_displacement[0] == rig.writes[-1][0]
-
-
 def test_the_last_sample_ends_the_session_without_error():
     rig = FakeRig(read_fails_at=20, error=RigFinished)
     slave, line, stop = driven(rig)
@@ -433,22 +418,15 @@ def freezing(monkeypatch, at, decided):
     monkeypatch.setattr(loop, "run_tick", tick)
 
 
-def test_a_process_that_froze_after_it_decided_decides_again(monkeypatch):
+@pytest.mark.parametrize("at", [(20,), (20, 21)])
+def test_a_process_that_froze_after_it_decided_decides_again_and_moves_nothing(monkeypatch, at):
     decided = []
-    freezing(monkeypatch, (20,), decided)
+    freezing(monkeypatch, at, decided)
     rig = FakeRig()
     _, line, _ = driven(rig)
     assert decided[19] not in [written for (written,) in rig.writes]
     assert rig.writes[14] == rig.writes[13]
     assert Reason.PEER_SILENT in [state.reason for state in line.of(STATE)]
-
-
-def test_one_that_froze_twice_moves_nothing_in_that_tick(monkeypatch):
-    decided = []
-    freezing(monkeypatch, (20, 21), decided)
-    rig = FakeRig()
-    driven(rig)
-    assert rig.writes[14] == rig.writes[13]
 
 
 class Loaded(FakeRig):
@@ -537,7 +515,7 @@ def test_a_calibration_at_the_start_leaves_the_motors_held_from_the_first_tick_o
 def test_a_stop_ends_a_calibration_at_the_start_and_stops_the_motors(monkeypatch, error, said):
     rig, line = StoppableRig(stop_error=error), CommandingLink()
 
-    def never_calibrated(_rig, _config, _grid, _start, stopped, **_options):
+    def never_calibrated(*_, stopped, **__):
         assert stopped() == ""
         line.heard = [stop_message(CALL, 1)]
         stopped()
@@ -566,11 +544,7 @@ def test_a_stop_during_a_calibration_says_what_the_master_does(monkeypatch, comm
 def test_under_a_master_that_is_stopped_nothing_is_calibrated(monkeypatch, kind, stops):
     rig, line = kind(), CommandingLink()
     line.master_state = State.STOPPED
-
-    def never_calibrated(_rig, _config, _grid, _start, stopped, **_options):
-        stopped()
-
-    monkeypatch.setattr(process, "initialise", never_calibrated)
+    monkeypatch.setattr(process, "initialise", lambda *_, stopped, **__: stopped())
     with pytest.raises(TeleopError, match=r"calibration given up: .*emergency stop"):
         model_of(rig, line)
     assert getattr(rig, "stops", None) == stops
@@ -628,14 +602,6 @@ def engaged():
     return bench
 
 
-def clutched():
-    return under_a_master(State.CLUTCHED)
-
-
-def faulty():
-    return under_a_master(State.FAULT)
-
-
 def under_a_master(state):
     bench = engaged()
     bench.line.master_state = state
@@ -657,9 +623,9 @@ def holding():
         (ready, State.READY),
         (calibrated, State.READY),
         (engaged, State.ENGAGED),
-        (clutched, State.CLUTCHED),
+        (partial(under_a_master, State.CLUTCHED), State.CLUTCHED),
         (holding, State.HOLDING),
-        (faulty, State.FAULT),
+        (partial(under_a_master, State.FAULT), State.FAULT),
     ],
 )
 def test_a_stop_reaches_the_motors_once_from_every_state(reached, state):
@@ -727,8 +693,8 @@ def test_a_request_is_answered_by_the_side_that_has_the_setting():
     key = "slave.rig.joints.0.environment."
     wishes = (key + "stiffness", key + "exponent", "force.scale")
     for sequence, wish in enumerate(wishes, 1):
-        data = Setting(key=encode_text(wish), value=encode_text("800")).pack(77, sequence, now_ns())
-        line.heard.append(ReceivedMessage(SETTING, data, now_ns(), 77, sequence, now_ns()))
+        setting = Setting(key=encode_text(wish), value=encode_text("800"))
+        line.heard.append(receive(SETTING, setting, sequence))
     run_on(1)
     answers = line.of(ANSWER)
     assert [(a.role, a.asker, a.setting_sequence, a.accepted) for a in answers] == [
