@@ -12,15 +12,7 @@ from estimator.effects import CATALOGUE, NAMES
 from studies import hidden
 
 TWO = ("proximal_tension", "distal_tension")
-
-# seed, what is hidden, where, against which causes; test_diagnosis_matrix.py has all of them
 FEW = {"creep", "joint_friction", "constant_drag", "encoder_scale", "viscous_friction"}
-HIDDEN = [
-    (3, "creep", "blocked", FEW),
-    # no linear step leads to it
-    pytest.param(3, "friction_drift", "spring", NAMES, marks=pytest.mark.slow),
-    pytest.param(4, "joint_friction", "spring", FEW, marks=pytest.mark.slow),
-]
 
 
 def diagnosed(seed, hide, bench, channels=hidden.CHANNELS, among=NAMES):
@@ -36,10 +28,10 @@ def test_every_effect_is_hidden_somewhere():
     assert set(NAMES) == {*hidden.EFFECTS, "distributed_play"}  # test_distributed_play hides it
 
 
-@pytest.mark.parametrize(("seed", "effect", "bench", "among"), HIDDEN)
-def test_a_hidden_effect_is_named(seed, effect, bench, among):
-    _, found = diagnosed(seed, effect, bench, among=among)
-    assert effect in {*found.causes, *found.ambiguous_with}
+def test_a_hidden_effect_is_named():
+    """One of them; test_diagnosis_matrix.py has all."""
+    _, found = diagnosed(3, "creep", "blocked", among=FEW)
+    assert "creep" in {*found.causes, *found.ambiguous_with}
     assert len(found.ambiguous_with) <= 2
     assert found.verdict in {Verdict.NAMED, Verdict.AMBIGUOUS}
     for channel, noise in found.noise.items():
@@ -204,11 +196,3 @@ def test_a_slip_while_the_tendon_slides_is_not_taken_for_a_tip_that_moved():
     truth = made.truth["encoder_slip"]
     assert found.parameters["encoder_slip.slip"].value == pytest.approx(truth["slip"], rel=0.05)
     assert found.parameters["encoder_slip.onset"].value == pytest.approx(truth["time"], abs=0.03)
-
-
-@pytest.mark.slow
-def test_a_pulley_that_turns_by_a_part_of_a_turn_is_named_although_its_radius_is_not_known():
-    among = {"pulley_eccentricity", "creep", "encoder_scale"}
-    _, found = diagnosed(11, "pulley_eccentricity", "spring", among=among)
-    assert found.verdict in {Verdict.NAMED, Verdict.AMBIGUOUS}
-    assert found.causes == ("pulley_eccentricity",)

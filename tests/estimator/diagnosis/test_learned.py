@@ -19,6 +19,11 @@ from studies import hidden
 CHANNELS = ("proximal_tension", "proximal_displacement", "distal_tension")
 
 
+@pytest.fixture(autouse=True)
+def without_learning():
+    """Here they are compared with."""
+
+
 def record_with(effects):
     made = hidden.make(
         21, effects, bench="blocked", channels=CHANNELS, duration=30.0, rate=50.0, travel_noise=5e-7
@@ -51,11 +56,12 @@ def test_held_out_samples_teach_nothing():
 
 
 def test_the_report_compares_or_says_what_is_needed(monkeypatch):
-    record = record_with(())
+    found = diagnose_records([record_with(())], [])
     if find_spec("sklearn"):
-        said = report_text.compare_with_learned(diagnose_records([record], []))
+        said = report_text.compare_with_learned(found)
         assert len(said) == 2
         assert all(line.endswith("nothing more to find from these inputs.") for line in said)
     monkeypatch.setitem(sys.modules, "sklearn.ensemble", None)
-    (line,) = report_text.compare_with_learned(diagnose_records([record], []))
+    without = found._replace(learned_models=fit_learned_models([]))
+    (line,) = report_text.compare_with_learned(without)
     assert "pip install 'tendon-teleop[learned]'" in line

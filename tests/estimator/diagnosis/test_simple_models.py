@@ -65,7 +65,7 @@ def test_lugre_is_found():
 
 
 def test_on_a_clean_bench_the_law_is_better_than_any():
-    made = hidden.make(71, (), bench="spring", duration=40.0, rate=50.0)
+    made = hidden.make(71, (), bench="spring", duration=30.0, rate=40.0)
     found = diagnose_records([prepare_record(made.time, dict(made.channels))], ())
     assert report_text.list_model_warnings(found) == []
     for channel in ("proximal_tension", "distal_tension"):

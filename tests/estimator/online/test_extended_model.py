@@ -1,6 +1,7 @@
 """The estimator in the loop with effects: data by a chain of beads that shares nothing with it."""
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -74,9 +75,9 @@ def models(truth, name, softness=None):
     return plain, TendonModel(found.sheath, extension=found.extension, **noise)
 
 
-def bench(name, kind, rate=100.0):
-    print(f"seed {SEED}: {name} on the {kind} bench")
-    return hidden.make(SEED, name, bench=kind, duration=SECONDS, rate=rate)
+@cache
+def bench(name, kind):
+    return hidden.make(SEED, name, bench=kind, duration=SECONDS, rate=100.0)
 
 
 def estimated(model, data):

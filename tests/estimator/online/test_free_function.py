@@ -1,6 +1,7 @@
 """A model with a free function in the loop, on data by a chain of beads."""
 
 import math
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,6 +23,11 @@ HIDDEN = {
     "friction_by_position": "outside:friction_over_position",
     "proximal_tension_by_reading": "outside:curved_reading",
 }
+
+
+@cache
+def make(seed, effects=()):
+    return hidden.make(seed, effects, duration=SECONDS, rate=100.0)
 
 
 def fitted(name, x, f):
@@ -53,7 +59,7 @@ def rms_error(model, data):
 
 @pytest.mark.parametrize(("name", "seed"), list(zip(HIDDEN, (2, 4), strict=True)))
 def test_the_force_is_right_with_the_function_and_inside_its_interval(name, seed):
-    data = hidden.make(seed, HIDDEN[name], duration=SECONDS, rate=100.0)
+    data = make(seed, HIDDEN[name])
     truth = {key: value for key, value in data.truth[HIDDEN[name]].items() if key != "channel"}
     channel = "proximal_displacement" if "position" in name else "proximal_tension"
     x = data.channels[channel]
@@ -76,7 +82,7 @@ def test_tension_that_falls_behind_a_rough_spot_is_no_motion_of_the_tip(seed, be
 
 
 def test_beyond_the_range_that_was_seen_the_interval_is_wider():
-    data = hidden.make(2, HIDDEN["friction_by_position"], duration=SECONDS, rate=100.0)
+    data = make(2, HIDDEN["friction_by_position"])
     x = data.channels["proximal_displacement"]
     f = 0.3 * np.sin(6.0 * (x - x.min()) / np.ptp(x))
     effect, values = fitted("friction_by_position", x, f)
@@ -92,7 +98,7 @@ def test_beyond_the_range_that_was_seen_the_interval_is_wider():
 
 def test_a_function_changes_the_force_by_no_more_than_its_friction_can():
     x = np.linspace(0.0, 10.0, 50)
-    data = hidden.make(2, (), duration=SECONDS, rate=100.0)
+    data = make(2)
     model, _ = built(data, fitted("friction_by_position", x, 0.3 * np.sin(x)))
     K, dynamics = data.truth["sheath"]["K"], model.extension.dynamics
     peak = dynamics.function.peak
@@ -104,7 +110,7 @@ def test_a_function_changes_the_force_by_no_more_than_its_friction_can():
 
 def test_what_the_loop_cannot_follow_is_left_out_with_the_reason():
     x = np.linspace(0.0, 10.0, 50)
-    data = hidden.make(2, (), duration=SECONDS, rate=100.0)
+    data = make(2)
     uses = {
         name: built(data, fitted(name, x, 0.1 + 0.0 * x))[1].uses[0][2]
         for name in ("friction_by_time", "friction_by_rest_time", "tip_load_by_time")
