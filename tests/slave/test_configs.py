@@ -55,7 +55,11 @@ def test_an_override_of_one_joint_or_tendon_changes_no_other(name, key, value):
 
 def calibrate(name, out):
     words = ["--config", str(FOLDER / f"{name}.yaml")]
-    words += [] if name in ARMS else ["--together", "--set", "rate_hz=500"]
+    words += (
+        []
+        if name in ARMS
+        else [*("--together", "--set", "rate_hz=500", "--set", "slave.rig.period=0.002")]
+    )
     return commands.main(["calibrate", *words, "--quick", "--out", str(out)])
 
 

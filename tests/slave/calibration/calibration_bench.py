@@ -38,8 +38,10 @@ def joint(
     )
 
 
-def rig_config(*joints, effects=(), seed=1):
-    return SimulatedRigConfig(name="bench", joints=joints, effects=effects, seed=seed)
+def rig_config(*joints, effects=(), seed=1, period=2e-3):
+    return SimulatedRigConfig(
+        name="bench", joints=joints, period=period, seed=seed, effects=effects
+    )
 
 
 class HousingOnly:

@@ -159,7 +159,7 @@ def arm_rig():
     body = {"stops": (-0.003, 0.003), "friction": 0.1}
     each = joint(K, noise=0.02, nodes=10, body=body)
     plant = ArmPlantConfig(radii=RADII, friction=MU, wrap=WRAP)
-    return but(rig_config(each, each), arms=(plant,), period=1.0 / RATE)
+    return but(rig_config(each, each, period=1.0 / RATE), arms=(plant,))
 
 
 class Observed(HousingOnly):

@@ -29,7 +29,8 @@ GAINS = 0.002
 @cache
 def record(sections, K=1.2, initialise=FULL):
     nodes = 120 if sections is TIP else 60  # a bend of 30 mm needs more than one
-    return calibrated(rig_config(joint(K, sections=sections, nodes=nodes)), initialise).record
+    rig = rig_config(joint(K, sections=sections, nodes=nodes), period=1e-3)
+    return calibrated(rig, initialise).record
 
 
 @cache

@@ -127,7 +127,7 @@ def weak(newtons):
 
 
 def test_a_motor_too_weak_for_the_tension_is_named_and_not_asked_for_more():
-    rig = HousingOnly(rig_config(weak(8.0)))
+    rig = HousingOnly(rig_config(weak(8.0), period=1e-3))
     with pytest.raises(CalibrationRefused) as error:
         calibrated(rig, rate_hz=RATE)
     said = re.fullmatch(
@@ -283,14 +283,6 @@ class Watched(HousingOnly):
         self.pauses.append(len(self.written))
 
 
-@pytest.mark.slow
-def test_after_a_refusal_the_tensions_are_let_down_and_the_motors_hold():
-    rig = HousingOnly(rig_config(joint(range=12.0)))
-    with pytest.raises(CalibrationRefused):
-        calibrated(rig, rate_hz=RATE)
-    assert resting(rig)
-
-
 # What the config forbids is said before anything moves.
 
 
@@ -307,13 +299,6 @@ def test_a_config_that_cannot_be_is_refused(initialise, gate, said):
     with pytest.raises(UsageError, match=said):
         calibrated(rig, initialise, gate)
     assert rig.written == []
-
-
-@pytest.mark.slow
-def test_a_gate_that_is_too_narrow_is_named():
-    narrow = GateConfig(displacement_min=-0.06, displacement_max=0.004)
-    with pytest.raises(CalibrationRefused, match=r"tendon a: .*slave.gate.displacement_max"):
-        calibrated(rig_config(joint()), gate=narrow, rate_hz=RATE)
 
 
 # Several joints.
