@@ -79,7 +79,7 @@ def test_the_forces_of_an_arm_keep_their_direction_and_other_joints_stand_alone(
     rows = [(force, force - below, force + above, 0) for force, below, above in rows]
     rows[2] = (*rows[2][:3], status)
     forces = np.zeros(MAX_JOINTS)
-    loop.compute_rendered_forces(bilateral, estimates(*rows), 4, 1e3, forces)
+    loop.compute_rendered_forces(bilateral, estimates(*rows), 4, 1e3, forces, 0.0)
     alone = slave_forces(1e3, *rows)
     assert forces[[0, 3]].tolist() == [alone[0], alone[3]]
     force = np.array(rows)[1:3, 0]
@@ -107,7 +107,7 @@ def test_what_the_hand_never_paid_for_is_not_spent_on_a_wall():
     side, asked, speed = Side.new(), np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     force, told = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     for tick in range(200):
-        coupling.receive_totals(side, 7, told, told)
+        coupling.receive_totals(side, np.uint64(7), told, told)
         force[:1] = slave_forces(50.0, (10.0, 10.0, 10.0, 0))
         asked[0], speed[0] = 1e-4 * tick, 0.1
         coupling.compute_tip_motion(settings, side, asked, speed, force, 1, True, 1e-3)

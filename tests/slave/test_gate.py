@@ -70,7 +70,7 @@ def test_any_sequence_of_requests_stays_within_all_limits(start, ticks):
         lowest, highest = LIMITS.displacement_min, LIMITS.displacement_max
         assert min(lowest, was) <= now <= max(highest, was)
         reach = LIMITS.speed_max * min(dt, 0.005) if dt > 0 else 0.0
-        assert abs(now - was) <= reach * (1 + 1e-9) + 1e-18
+        assert abs(now - was) <= reach * (1 + 1e-9) + math.ulp(was)
         if not may_move:
             assert now == was
             assert verdict == GateFlags.HELD

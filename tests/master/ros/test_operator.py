@@ -274,12 +274,7 @@ def test_a_pose_moves_the_tip_of_an_arm_within_its_limits(tmp_path):
         assert 1.0 < largest[0] < 1.8 + 0.05  # [rad] `bend_max`, and the error of elongation
         assert largest[1] < 25.0 + 0.5  # [N] `tension_max` of the gate
 
-        wrong = {
-            "joint 2 is not finite": lambda: build_pose(0.0, math.nan, 0.0),
-            "beyond 1 m": lambda: build_pose(0.0, 0.0, 1.5),
-            "faster than speed_max": lambda: build_pose(0.1, -0.1, 0.0),
-            "silent for 0.5 s": lambda: None,
-        }
+        wrong = {"faster than speed_max": lambda: build_pose(0.1, -0.1, 0.0)}
         refuse(operator, link, events, wrong, locate_tip)
 
 

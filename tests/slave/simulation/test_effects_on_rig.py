@@ -43,8 +43,8 @@ PHYSICS = {
     "pulley_eccentricity": {T_IN, Q_OUT},
     "broken_tendon": {T_IN, T_OUT},
     "jammed_tendon": {T_OUT, Q_OUT},
+    "antagonist_tension": {T_IN, T_OUT, Q_OUT},
 }
-OF_A_PAIR = {"antagonist_tension": {T_IN, T_OUT, Q_OUT}}
 SENSORS = {
     "proximal_tension_gain": T_IN,
     "proximal_tension_bias": T_IN,
@@ -103,17 +103,13 @@ def seen(run_with, run_without):
 
 
 def test_every_effect_that_has_a_name_can_be_switched_on():
-    assert set(BY_NAME) == {*PHYSICS, *OF_A_PAIR, *SENSORS, *SAMPLES}
+    assert set(BY_NAME) == {*PHYSICS, *SENSORS, *SAMPLES}
 
 
 @pytest.mark.parametrize("name", PHYSICS)
 def test_an_effect_in_the_physics_is_seen_where_it_acts(name, healthy):
-    assert seen(run(SINGLE, made(name)), healthy[SINGLE]) >= PHYSICS[name]
-
-
-@pytest.mark.parametrize("name", OF_A_PAIR)
-def test_an_effect_of_a_pair_is_seen_where_it_acts(name, healthy):
-    assert seen(run(PAIR, made(name)), healthy[PAIR]) >= OF_A_PAIR[name]
+    joint = PAIR if name == "antagonist_tension" else SINGLE
+    assert seen(run(joint, made(name)), healthy[joint]) >= PHYSICS[name]
 
 
 @pytest.mark.parametrize("name", SENSORS)
