@@ -542,33 +542,41 @@ def test_a_side_on_standby_opens_nothing_until_it_is_called(tmp_path, side):
     config.write_text(f"{section}:\n  {entry}\n")
     supervisor = Supervisor(tmp_path, lambda *_: None)
 
-    def start():
-        child = supervisor.start(side, ["--config", str(config)], standby=True)
-        waits = Path(f"/proc/{child.process.pid}/wchan")
-        assert wait_for_condition(
-            lambda: child.exit_code is not None or "pipe_read" in waits.read_text(), 120.0
-        )
-        assert child.exit_code is None, child.complaint
-        return child
-
-    child = start()
+    child = supervisor.start(side, ["--config", str(config)], standby=True)
+    waits = Path(f"/proc/{child.process.pid}/wchan")
+    assert wait_for_condition(
+        lambda: child.exit_code is not None or "pipe_read" in waits.read_text(), 120.0
+    )
+    assert child.exit_code is None, child.complaint
     supervisor.call(side)
     assert child.process.wait(30.0) != 0
     child.join_readers()
     assert complaint in child.complaint
 
-    if side == "master":  # the rest is the same code of both
-        return
-    child = start()
-    supervisor.stop([side])
-    assert child.exit_code == 128 + signal.SIGTERM
-    assert child.process.stdin.closed
 
-    child = start()
+WAITING = """
+from teleop.runtime.process import wait_in_standby
+print("waits", flush=True)
+print("called" if wait_in_standby() else "not called", flush=True)
+"""
+
+
+def test_a_child_on_standby_ends_with_its_launcher_and_may_end_before(family):
+    def start(count):
+        child = family.start("slave", [WAITING], standby=True)
+        assert wait_for_condition(lambda: family.said.count(("slave", "waits")) == count, 20.0)
+        return child
+
+    child = start(1)
+    family.stop(["slave"])
+    assert child.exit_code == -signal.SIGTERM
+    assert child.process.stdin.closed
+    child = start(2)
     child.process.stdin.close()  # its launcher ended
     assert child.process.wait(30.0) == 0
-
-    child = start()
+    child.join_readers()
+    child = start(3)
     child.process.kill()
     child.process.wait()
-    supervisor.call(side)  # no fault: whoever looks after it finds that it ended
+    family.call("slave")  # no fault: whoever looks after it finds that it ended
+    assert family.said[1:] == [("slave", "waits"), ("slave", "not called"), ("slave", "waits")]
