@@ -7,7 +7,6 @@ import sys
 import pytest
 import yaml
 
-from teleop.cli import commands
 from teleop.cli.diagnose.diagnosis_run import parse_effects
 from teleop.config import extensions
 
@@ -76,22 +75,19 @@ def stranger(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("use", FILE_USES)
 def test_a_file_that_names_code_is_refused_with_file_key_and_option(
-    stranger, tmp_path, capsys, use
+    stranger, tmp_path, refused, use
 ):
     words, content, key = FILE_USES[use]
     path = tmp_path / "file.yaml"
     path.write_text(yaml.safe_dump(content))
-    assert commands.main(words.format(path).split()) == 2
-    line = capsys.readouterr().err.strip()
+    line = refused(*words.format(path).split())
     assert line.startswith(f"teleop: {path}: {key}: stranger:")
     assert line.endswith("add --allow-imports")
-    assert "\n" not in line
     assert not stranger()
 
 
-def test_an_effect_on_the_command_line_needs_the_option_too(stranger, capsys):
-    assert commands.main(["diagnose", "data.csv", "--effects", "stranger:CURVE"]) == 2
-    assert "--allow-imports" in capsys.readouterr().err
+def test_an_effect_on_the_command_line_needs_the_option_too(stranger, refused):
+    assert "--allow-imports" in refused("diagnose", "data.csv", "--effects", "stranger:CURVE")
     assert not stranger()
     extensions.allow_imports()
     (effect,) = parse_effects("stranger:CURVE")

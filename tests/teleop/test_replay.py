@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.cli import commands
 from teleop.errors import PeerError
 from teleop.link import Link
 from teleop.messages.messages import Event
@@ -140,14 +139,12 @@ def test_listeners_hear_the_session_again_never_early(recording):
                 assert again.sequence - back[0].sequence == one.sequence - sent[0].sequence
 
 
-def test_a_replay_and_a_real_loop_never_share_a_session(recording, capsys):
+def test_a_replay_and_a_real_loop_never_share_a_session(recording, refused):
     path, _ = recording
     config = free_config()
     ends = [f"--set=link.master={config.master}", f"--set=link.slave={config.slave}"]
     with Link(config, "demo-replay", Role.SLAVE):
-        assert commands.main(["replay", str(path), *ends]) == 2
-    (said,) = capsys.readouterr().err.splitlines()
-    assert "has a slave already" in said
+        assert "has a slave already" in refused("replay", path, *ends)
 
     replay = start("teleop.recording.replay", config, str(path), "--loop", "--session", "bench")
     assert "'bench'" in replay.stdout.readline()
@@ -169,10 +166,8 @@ def test_a_replay_and_a_real_loop_never_share_a_session(recording, capsys):
         ("record --out {path}", "is a file; name a folder"),
     ],
 )
-def test_a_wrong_call_gets_one_line(recording, words, said, capsys):
-    assert commands.main(words.format(path=recording[0]).split()) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert said in line
+def test_a_wrong_call_gets_one_line(recording, words, said, refused):
+    assert said in refused(*words.format(path=recording[0]).split())
 
 
 def test_the_recorder_hears_a_whole_session_and_says_so(tmp_path):

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from master.devices.hid import force_signs
-from teleop.cli import commands
 from teleop.security.credentials import find_local_folder
 from teleop.view.command import find_log_path
 
@@ -33,22 +32,19 @@ def test_a_variable_goes_before_the_home_folder(environment, tmp_path, variable)
         assert Path("/elsewhere") in place().parents
 
 
-def test_a_relative_one_is_refused_and_nothing_made(environment, tmp_path, capsys):
+def test_a_relative_one_is_refused_and_nothing_made(environment, tmp_path, refused):
     environment.chdir(tmp_path)
     environment.setenv("XDG_STATE_HOME", "state")
-    assert commands.main(["stop"]) == 2
-    said = "teleop: XDG_STATE_HOME=state: is relative; set it to an absolute path\n"
-    assert capsys.readouterr().err == said
+    said = "teleop: XDG_STATE_HOME=state: is relative; set it to an absolute path"
+    assert refused("stop") == said
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("home", [None, "here"])
-def test_a_user_without_a_home_is_told_what_to_set(environment, home, capsys):
+def test_a_user_without_a_home_is_told_what_to_set(environment, home, refused):
     environment.delenv("HOME")
     if home is not None:
         environment.setenv("HOME", home)
     environment.setattr(pwd, "getpwuid", {}.__getitem__)
-    assert commands.main(["stop"]) == 2
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 1
-    assert "has no home folder (HOME); set XDG_STATE_HOME to a folder of this user" in said[0]
+    said = "has no home folder (HOME); set XDG_STATE_HOME to a folder of this user"
+    assert said in refused("stop")

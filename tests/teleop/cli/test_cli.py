@@ -46,23 +46,14 @@ def test_control_characters_of_words_stay_in_a_line(capsys):
         ("estimate no-such.csv --fit", "no-such.csv"),
     ],
 )
-def test_wrong_words_get_one_line_with_a_hint(words, hint, capsys):
-    assert commands.main(words.split()) == 2
-    captured = capsys.readouterr()
-    (line,) = captured.err.splitlines()
-    assert line.startswith("teleop")
-    assert hint in line
-    assert captured.out == ""
+def test_wrong_words_get_one_line_with_a_hint(words, hint, refused):
+    assert hint in refused(*words.split())
 
 
 @pytest.mark.parametrize("command", ["run", "master", "slave", "record", "view"])
 @pytest.mark.parametrize("option", ["--duration=inf", "--json=/no/where.json"])
-def test_every_command_refuses_a_wrong_duration_and_an_impossible_summary(command, option, capsys):
-    assert commands.main([command, option]) == 2
-    captured = capsys.readouterr()
-    assert option.split("=")[0] in captured.err
-    assert len(captured.err.splitlines()) == 1
-    assert captured.out == ""
+def test_every_command_refuses_a_wrong_duration_and_an_impossible_summary(command, option, refused):
+    assert option.split("=")[0] in refused(command, option)
 
 
 @pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
@@ -203,8 +194,7 @@ def test_an_output_without_the_characters_gets_replacements():
 
 
 @pytest.mark.parametrize("words", [["keys", "init", ""], ["run", "--config", ""]])
-def test_no_path_is_empty(words, tmp_path, monkeypatch, capsys):
+def test_no_path_is_empty(words, tmp_path, monkeypatch, refused):
     monkeypatch.chdir(tmp_path)
-    assert commands.main(words) == 2
-    assert "the name is empty" in capsys.readouterr().err
+    assert "the name is empty" in refused(*words)
     assert not list(tmp_path.iterdir())

@@ -102,13 +102,6 @@ def test_what_is_not_accepted_is_saved_as_such(bench, tmp_path):
     assert calibration.remark == summary["fit"]["reason"]
 
 
-def one_line(words, capsys):
-    assert commands.main(["estimate", *map(str, words)]) == 2
-    captured = capsys.readouterr()
-    assert len(captured.err.splitlines()) == 1
-    return captured.err
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -122,18 +115,18 @@ def one_line(words, capsys):
         (["--calibration", "no-such.yaml"], "no-such.yaml"),
     ],
 )
-def test_wrong_words_are_one_line(bench, words, said, capsys):
-    assert said in one_line([bench, *words], capsys)
+def test_wrong_words_are_one_line(bench, words, said, refused):
+    assert said in refused("estimate", bench, *words)
 
 
-def test_a_free_tip_is_not_taken_for_a_blocked_one(bench, tmp_path, capsys):
+def test_a_free_tip_is_not_taken_for_a_blocked_one(bench, tmp_path, refused):
     saved = tmp_path / "sheath.yaml"
     loop = simulate(tmp_path / "free.csv", EVEN, SPRING, "loop")
-    assert "tip" in one_line([loop, "--fit", "--blocked-tip", "--save", saved], capsys)
+    assert "tip" in refused("estimate", loop, "--fit", "--blocked-tip", "--save", saved)
     assert not saved.exists()
 
 
-def test_a_record_that_decides_nothing_is_refused(tmp_path, capsys):
+def test_a_record_that_decides_nothing_is_refused(tmp_path, refused):
     path = tmp_path / "still.csv"
     time = np.arange(500) * 0.01
     tension = 5.0 + 0.2 * np.sin(time)
@@ -141,14 +134,14 @@ def test_a_record_that_decides_nothing_is_refused(tmp_path, capsys):
         path, {"time_s": time, "proximal_tension_N": tension, "distal_tension_N": 0.4 * tension}
     )
     saved = tmp_path / "sheath.yaml"
-    assert "swing" in one_line([path, "--fit", "--save", saved], capsys)
+    assert "swing" in refused("estimate", path, "--fit", "--save", saved)
     assert not saved.exists()
 
 
-def test_a_calibration_file_of_another_kind_is_refused(bench, tmp_path, capsys):
+def test_a_calibration_file_of_another_kind_is_refused(bench, tmp_path, refused):
     path = tmp_path / "wrong.yaml"
     path.write_text(yaml.safe_dump({"tendons": [{"effective_friction": -1.0}]}))
-    assert "sheath K" in one_line([bench, "--calibration", path], capsys)
+    assert "sheath K" in refused("estimate", bench, "--calibration", path)
 
 
 @pytest.fixture(scope="module")
@@ -180,7 +173,7 @@ def test_of_several_tendons_one_is_estimated_and_named(pair, words, tendon, bend
     assert error["full_scale_N"] == measured.max()
 
 
-def test_a_tendon_that_is_not_there_is_one_line(pair, capsys):
+def test_a_tendon_that_is_not_there_is_one_line(pair, refused):
     config, data = pair
-    said = one_line([data, "--config", config, "--tendon", "2a"], capsys)
+    said = refused("estimate", data, "--config", config, "--tendon", "2a")
     assert "1a, 1b, 1, 2" in said

@@ -59,7 +59,7 @@ def test_a_recording_is_a_config_but_for_where_its_session_ran(arm):
     assert slave.rig.seed == 7
 
 
-def test_its_models_and_names_of_tendons_are_those_of_the_session(arm, tmp_path, capsys):
+def test_its_models_and_names_of_tendons_are_those_of_the_session(arm, tmp_path, refused):
     def model(*words):
         out = tmp_path / "summary.json"
         assert commands.main(["estimate", *map(str, words), "--json", str(out), "--force"]) == 0
@@ -69,12 +69,10 @@ def test_its_models_and_names_of_tendons_are_those_of_the_session(arm, tmp_path,
     assert model(arm, "--tendon", "4a") != model(arm, "--tendon", "4b")
     with_config = model(arm, "--tendon", "4b", "--config", ROOT / "configs" / "arm.yaml")
     assert model(arm, "--tendon", "4b") == with_config
-    capsys.readouterr()
     for command in (["estimate"], ["diagnose"], ["estimate", "--fit"]):
-        assert commands.main([*command, str(arm), "--tendon", "9"]) == 2
         names = ", ".join([f"{joint}{side}" for joint in "1234" for side in "ab"])
-        said = f"teleop: --tendon 9: must be one of {names}, 1, 2, 3, 4, 5, 6, 7, 8\n"
-        assert capsys.readouterr().err == said
+        said = f"teleop: --tendon 9: must be one of {names}, 1, 2, 3, 4, 5, 6, 7, 8"
+        assert refused(*command, arm, "--tendon", "9") == said
 
 
 def test_each_tendon_is_written_into_columns_of_its_own(arm, tmp_path):
@@ -88,17 +86,14 @@ def test_each_tendon_is_written_into_columns_of_its_own(arm, tmp_path):
     assert not {"distal_tension_estimate_N", "status"} & set(seventh)
 
 
-def test_a_session_on_defaults_has_a_config_too(tmp_path, capsys):
+def test_a_session_on_defaults_has_a_config_too(tmp_path, refused):
     path = record(tmp_path, "", tendons=1)
-    assert commands.main(["estimate", str(path)]) == 2  # a slave without a calibration
-    assert "slave.tendons" in capsys.readouterr().err
+    assert "slave.tendons" in refused("estimate", path)  # a slave without a calibration
 
 
-def test_a_calibration_that_the_recording_only_names_is_asked_for(tmp_path, capsys):
+def test_a_calibration_that_the_recording_only_names_is_asked_for(tmp_path, refused):
     path = record(tmp_path, "arm.yaml", "slave.calibration=mine.yaml")
-    assert commands.main(["estimate", str(path)]) == 2
-    said = capsys.readouterr().err
-    assert f"{path} was recorded with it; --calibration FILE names another" in said
+    said = f"{path} was recorded with it; --calibration FILE names another"
+    assert said in refused("estimate", path)
     path = record(tmp_path / "at-start", "arm.yaml", "slave.initialise.at_start=true")
-    assert commands.main(["estimate", str(path)]) == 2
-    assert "calibrated its rig at its start" in capsys.readouterr().err
+    assert "calibrated its rig at its start" in refused("estimate", path)

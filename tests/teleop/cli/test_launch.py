@@ -13,7 +13,6 @@ import pytest
 
 from slave.config import SlaveConfig
 from slave.rigs.replayed import ReplayedRigConfig
-from teleop.cli.commands import main
 from teleop.config.loading import ConfigDocument
 from teleop.errors import TeleopError
 from teleop.launch import launcher, watch
@@ -518,14 +517,13 @@ def test_the_calibration_is_a_file_wherever_a_child_runs_or_the_true_one(
     assert str(document.load(SlaveConfig, "slave").calibration) == expected
 
 
-def test_data_are_replayed_as_their_mapping_says(tmp_path, monkeypatch, capsys):
+def test_data_are_replayed_as_their_mapping_says(tmp_path, monkeypatch, refused):
     monkeypatch.chdir(tmp_path)
     overrides = launcher.build_rig_overrides(Path("x.csv"), None, Path("lab.yaml"), 2)
     rig = ConfigDocument.read(None).override(*overrides).load(SlaveConfig, "slave").rig
     assert isinstance(rig, ReplayedRigConfig)
     assert (rig.file, rig.mapping, rig.run) == (tmp_path / "x.csv", tmp_path / "lab.yaml", 2)
-    assert main(["run", "--run", "2"]) == 2
-    assert "--mapping, --run: require --replay" in capsys.readouterr().err
+    assert "--mapping, --run: require --replay" in refused("run", "--run", "2")
 
 
 NO_HARDWARE = {  # section, entry, and the line of a side that opens it

@@ -51,12 +51,6 @@ def done(files, tmp_path_factory):
     return out
 
 
-def refusal(words, capsys):
-    assert commands.main(["pair", *map(str, words)]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    return line
-
-
 def test_the_report_has_friction_and_its_growth(done):
     report = json.loads((done / "report.json").read_text())
     assert report["bends"] == pytest.approx([math.radians(bend) for bend in BENDS])
@@ -102,16 +96,16 @@ def test_a_mapping_tells_rate_decimals_and_run(tmp_path):
     np.testing.assert_allclose(found.tension_b, rows.tension_b, atol=1e-3)
 
 
-def test_a_missing_column_is_named(files, tmp_path, capsys):
+def test_a_missing_column_is_named(files, tmp_path, refused):
     path = tmp_path / "bend10.csv"
     path.write_text("time_s,command_angle_deg\n0,0\n")
-    assert "no column 'distal_angle_deg'" in refusal([*files, path], capsys)
+    assert "no column 'distal_angle_deg'" in refused("pair", *files, path)
 
 
-def test_a_file_without_a_bend_is_named(files, tmp_path, capsys):
+def test_a_file_without_a_bend_is_named(files, tmp_path, refused):
     path = tmp_path / "run.csv"
     path.write_text(COLUMNS + "\n0,0,0,5,5\n")
-    assert "does not tell the sheath's bend" in refusal([*files, path], capsys)
+    assert "does not tell the sheath's bend" in refused("pair", *files, path)
 
 
 @pytest.mark.parametrize(
@@ -124,10 +118,10 @@ def test_a_file_without_a_bend_is_named(files, tmp_path, capsys):
         (f"0,0,0,5,5\n{COLUMNS}\n1,1,1,6,5\n", "has 2 runs, from line 2, line 4; one"),
     ],
 )
-def test_what_cannot_be_right_is_said(files, tmp_path, rows, message, capsys):
+def test_what_cannot_be_right_is_said(files, tmp_path, rows, message, refused):
     path = tmp_path / "bend10.csv"
     path.write_text(f"{COLUMNS}\n{rows}")
-    line = refusal([*files, path], capsys)
+    line = refused("pair", *files, path)
     assert message in line
     assert str(path) in line
 

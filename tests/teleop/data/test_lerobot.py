@@ -230,14 +230,13 @@ def test_frames_without_a_state_of_their_own_repeat_the_one_before_and_are_count
     ],
 )
 def test_what_cannot_be_a_dataset_is_one_line_and_no_folder(
-    tmp_path, capsys, joints, states, words, complaint
+    tmp_path, refused, joints, states, words, complaint
 ):
     paths = [record(tmp_path / "run", session_messages(n, states)) for n in joints]
     out = tmp_path / "out" / "pegs"
     out.parent.mkdir()
-    assert convert(out, *paths, "--task", TASK, *words) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert complaint in line
+    words = ["recordings", "to-lerobot", *paths, "--task", TASK, *words, "--out", out]
+    assert complaint in refused(*words)
     assert not list(out.parent.iterdir())
 
 

@@ -190,15 +190,12 @@ def change_joints(messages):
     ],
 )
 def test_what_cannot_be_a_table_is_one_line_and_no_file(
-    tmp_path, capsys, change, options, complaint
+    tmp_path, refused, change, options, complaint
 ):
     messages = session_messages(3, STATES)
     path, out = record(tmp_path / "run", change(messages)), tmp_path / "out" / "run.csv"
     out.parent.mkdir()
-    words = ["recordings", "to-table", str(path), "--out", str(out), *options]
-    assert commands.main(words) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert complaint in line
+    assert complaint in refused("recordings", "to-table", path, "--out", out, *options)
     assert not list(out.parent.iterdir())
 
 

@@ -15,7 +15,6 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from teleop.cli import commands
 from teleop.errors import TeleopError, UsageError
 from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.topics import HAND, TENDONS, TOPICS
@@ -305,15 +304,11 @@ def test_a_window_has_a_network_of_its_own(viewer):
 
 
 @pytest.mark.parametrize("content", [None, b"no recording"])
-def test_a_bad_recording_is_refused_before_anything_is_written(content, tmp_path, capsys):
+def test_a_bad_recording_is_refused_before_anything_is_written(content, tmp_path, refused):
     bad, out = tmp_path / "bad.mcap", tmp_path / "x.rrd"
     if content is not None:
         bad.write_bytes(content)
-    assert commands.main(["view", str(bad), "--view", "rrd", "--out", str(out)]) == 2
-    captured = capsys.readouterr()
-    assert str(bad) in captured.err
-    assert len(captured.err.splitlines()) == 1
-    assert captured.out == ""
+    assert str(bad) in refused("view", bad, "--view", "rrd", "--out", out)
     assert not out.exists()
 
 

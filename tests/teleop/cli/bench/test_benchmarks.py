@@ -8,7 +8,6 @@ import pytest
 
 from master.config import MasterConfig
 from slave.config import SlaveConfig
-from teleop.cli import commands
 from teleop.cli.bench import figures, runs, session
 from teleop.cli.bench.figures import Metric
 from teleop.config.loading import load
@@ -59,9 +58,8 @@ def test_a_session_is_measured_while_it_is_engaged(tmp_path):
     assert measured.cpu["slave"] > 0.0
 
 
-def test_a_result_of_another_bench_is_not_compared_with(tmp_path, capsys):
+def test_a_result_of_another_bench_is_not_compared_with(tmp_path, refused):
     for content in ({"bench": "scale", "figures": {}}, {"bench": "loop"}, [], {"x": 1}):
         path = tmp_path / "old.json"
         path.write_text(json.dumps(content))
-        assert commands.main(["bench", "loop", "--compare", str(path)]) == 2
-        assert len(capsys.readouterr().err.splitlines()) == 1
+        refused("bench", "loop", "--compare", path)

@@ -59,14 +59,6 @@ def report(data, csv, folder):
     return json.loads((folder / "numbers.json").read_text(), parse_constant=pytest.fail)
 
 
-def refusal(capsys, *words):
-    assert commands.main(["diagnose", *map(str, words)]) == 2
-    said = capsys.readouterr()
-    assert not said.out
-    (line,) = said.err.splitlines()
-    return line
-
-
 def test_the_report_has_its_keys(report, folder):
     assert set(report) >= KEYS
     assert json.loads((folder / "out" / "report.json").read_text()) == report
@@ -129,8 +121,8 @@ def test_a_tip_cell_that_drops_out_changes_no_verdict(capsys, data, folder):
 
 
 @pytest.mark.parametrize("word", ["distal_tension", "tip=1", "distal_tension=-1", "time=nan"])
-def test_noise_that_is_none_is_refused(capsys, csv, word):
-    assert refusal(capsys, csv, "--noise", word).startswith(f"teleop: --noise {word}: expected")
+def test_noise_that_is_none_is_refused(refused, csv, word):
+    assert refused("diagnose", csv, "--noise", word).startswith(f"teleop: --noise {word}: expected")
 
 
 def test_the_page_needs_nothing_but_itself(report, folder):
@@ -185,10 +177,10 @@ def test_a_supplement_has_what_a_paper_needs(report, folder):
     assert abs(correlation["autocorrelation"][1:]).max() < 0.5  # white noise is left
 
 
-def test_options_that_contradict_the_data_are_refused(csv, capsys):
+def test_options_that_contradict_the_data_are_refused(csv, refused):
     words = [csv, "--effects", f"{FAULT},creep"]
-    assert "give at least two files" in refusal(capsys, *words, "--leave-one-file-out")
-    assert "did you mean 'creep'" in refusal(capsys, *words, "--cause", "crep")
+    assert "give at least two files" in refused("diagnose", *words, "--leave-one-file-out")
+    assert "did you mean 'creep'" in refused("diagnose", *words, "--cause", "crep")
 
 
 def test_the_model_is_what_was_reported(report, folder):
@@ -215,33 +207,33 @@ def test_the_verdict_comes_first_and_a_cause_is_compared_with_a_calibration(csv,
     assert "fitting candidates ..." in said.err.splitlines()
 
 
-def test_unknown_effects_are_refused_with_what_may_be_meant(csv, capsys):
-    line = refusal(capsys, csv, "--effects", "creep,fricton_step")
+def test_unknown_effects_are_refused_with_what_may_be_meant(csv, refused):
+    line = refused("diagnose", csv, "--effects", "creep,fricton_step")
     assert line.startswith(
         "teleop: --effects fricton_step: no such effect; did you mean 'friction_s"
     )
 
 
-def test_data_that_cannot_be_diagnosed_are_refused_in_one_line(csv, data, tmp_path, capsys):
-    assert "file not found" in refusal(capsys, tmp_path / "none.csv")
+def test_data_that_cannot_be_diagnosed_are_refused_in_one_line(csv, data, tmp_path, refused):
+    assert "file not found" in refused("diagnose", tmp_path / "none.csv")
     alone = tmp_path / "alone.csv"
     tension = {"time_s": data.time, "proximal_tension_N": data.channels["proximal_tension"]}
     write_table(alone, tension)
-    assert f"{alone}: proximal_tension alone" in refusal(capsys, alone)
-    assert "need the same channels" in refusal(capsys, csv, alone)
+    assert f"{alone}: proximal_tension alone" in refused("diagnose", alone)
+    assert "need the same channels" in refused("diagnose", csv, alone)
     short = write(tmp_path / "short.csv", data, slice(0, 50))
-    assert f"{short}: 50 samples" in refusal(capsys, short)
+    assert f"{short}: 50 samples" in refused("diagnose", short)
     bad = tmp_path / "bad.csv"
     write_table(
         bad, {"time_s": data.time} | columns(data) | {"distal_tension_N": data.time * math.nan}
     )
-    assert "no finite value: remove the column" in refusal(capsys, bad)
+    assert "no finite value: remove the column" in refused("diagnose", bad)
 
 
-def test_words_that_cannot_be_right_are_refused_before_anything_is_fitted(csv, tmp_path, capsys):
-    assert "DATA" in refusal(capsys)
-    assert "is a file" in refusal(capsys, csv, "--out", csv)
+def test_words_that_cannot_be_right_are_refused_before_anything_is_fitted(csv, tmp_path, refused):
+    assert "DATA" in refused("diagnose")
+    assert "is a file" in refused("diagnose", csv, "--out", csv)
     strange = tmp_path / "strange.yaml"
     strange.write_text("base: {K: 1}\n")
-    assert f"{strange}: base: unknown key" in refusal(capsys, csv, "--calibration", strange)
-    assert "--column x" in refusal(capsys, csv, "--column", "x")
+    assert f"{strange}: base: unknown key" in refused("diagnose", csv, "--calibration", strange)
+    assert "--column x" in refused("diagnose", csv, "--column", "x")

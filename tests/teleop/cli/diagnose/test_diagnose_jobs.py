@@ -50,6 +50,5 @@ def test_each_file_is_diagnosed_and_a_bad_one_ends_no_other(folder, tmp_path, ca
         (["--jobs", "2", "--leave-one-file-out"], "of one bench; --jobs takes each by itself"),
     ],
 )
-def test_options_of_one_bench_are_refused(folder, capsys, words, message):
-    assert commands.main(["diagnose", str(folder), *words]) == 2
-    assert message in capsys.readouterr().err
+def test_options_of_one_bench_are_refused(folder, refused, words, message):
+    assert message in refused("diagnose", folder, *words)
