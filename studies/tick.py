@@ -6,18 +6,22 @@ Recorder, slave and master run as in `teleop run --record`, without a view. The 
 time of each thread (/proc/PID/task/TID/schedstat). Threads of Zenoh have names: rx, tx, acc (of
 accepted connections), net; those of Python are called `python`, the loop's own first. A thread that
 waits for a processor counts nothing, but other load makes each microsecond longer: compare only
-runs that take turns. Takes `--seconds` and 15 s, with an empty compile cache a minute more.
+runs that take turns. Then the same of the messages alone, over bare Zenoh: the least that a session
+could use. Takes twice `--seconds` and 20 s, with an empty compile cache a minute more.
 """
 
+import subprocess
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from studies.testbed.bare_zenoh import run_bare_traffic
 from studies.testbed.command import parse_options
 from studies.testbed.processes import DEMO_CONFIG, Processes, pause
 
-SETTLE_S = 1.0
+SETTLE_S, CONNECT_S = 1.0, 4.0
 SHOWN_MIN_US = 0.5  # threads of less are in the sum only
 
 
@@ -41,20 +45,29 @@ def main() -> None:
     ):
         session.start_all()
         pause(SETTLE_S)
-        pids = {command: process.pid for command, process in session.running.items()}
-        begin, before = time.monotonic(), {c: read_threads(pid) for c, pid in pids.items()}
-        pause(options.seconds)
-        passed_ms = 1000.0 * (time.monotonic() - begin)
-        print(f"{'':8}{'thread':>10}{'us/ms':>9}{'wake-ups/ms':>13}")
-        for command, pid in pids.items():
-            print_threads(command, before[command], read_threads(pid), passed_ms)
-        for command in reversed(pids):
+        print_processes(session.running, options.seconds)
+        for command in reversed(session.running):
             session.stop(command, 60.0)
         for side in ("slave", "master"):
             summary = session.summary(side)
             figures = {key: round(summary[key], 2) for key in ("rate_hz", "ticks", "overruns")}
             print(side, *(f"{key} {value}" for key, value in figures.items()))
         print("command to force [ms]", session.summary("master")["latency_ms"])
+    print("\nbare Zenoh")
+    with run_bare_traffic() as running:
+        pause(CONNECT_S)
+        print_processes(running, options.seconds)
+
+
+def print_processes(processes: Mapping[str, subprocess.Popen[bytes]], seconds: float) -> None:
+    """Print what the threads of processes use in the next `seconds` [s]."""
+    pids = {command: process.pid for command, process in processes.items()}
+    begin, before = time.monotonic(), {c: read_threads(pid) for c, pid in pids.items()}
+    pause(seconds)
+    passed_ms = 1000.0 * (time.monotonic() - begin)
+    print(f"{'':8}{'thread':>10}{'us/ms':>9}{'wake-ups/ms':>13}")
+    for command, pid in pids.items():
+        print_threads(command, before[command], read_threads(pid), passed_ms)
 
 
 def read_threads(pid: int) -> dict[int, Thread]:
