@@ -25,49 +25,34 @@ def fill_sample(rows: StructArray, index: int, sample: RigSample) -> None:
 
     Missing entries are NaN, which the estimator rejects.
     """
-    channels = (
+    values = (
         *(sample.proximal_tension, sample.proximal_displacement),
         *(sample.bench_distal_tension, sample.bench_distal_displacement),
         *(sample.loop_moved_tension, sample.loop_held_tension),
     )
+    channels = _MISSING.copy()
+    for k, channel in enumerate(values):
+        if channel is not None:
+            channels[k, : len(channel)] = channel
     has_displacement = sample.proximal_displacement is not None
-    arrays = [_MISSING if c is None else np.array(c, np.float64, order="C") for c in channels]
-    _fill_row(rows, index, float(sample.time_s), has_displacement, *arrays)
+    _fill_row(rows, index, float(sample.time_s), has_displacement, channels)
 
 
-# Copies of one array type, whatever the rig returns: numba would compile again for any other type,
+# Copied to one array type, whatever the rig returns: numba would compile again for any other type,
 # in the middle of a session.
-_MISSING = np.full(MAX_TENDONS, math.nan)
+_MISSING = np.full((6, MAX_TENDONS), math.nan)
 
 
 @jit_compile
 def _fill_row(
-    rows: StructArray,
-    index: int,
-    time_s: float,
-    has_displacement: bool,
-    tension: Array,
-    displacement: Array,
-    bench_tension: Array,
-    bench_displacement: Array,
-    loop_moved_tension: Array,
-    loop_held_tension: Array,
+    rows: StructArray, index: int, time_s: float, has_displacement: bool, channels: Array
 ) -> None:
     row = rows[index]
     row.time_s, row.has_displacement = time_s, has_displacement
     for i in range(MAX_TENDONS):
-        row.tendons[i].tension = _get_entry(tension, i)
-        row.tendons[i].displacement = _get_entry(displacement, i)
-        row.bench_tension[i] = _get_entry(bench_tension, i)
-        row.bench_displacement[i] = _get_entry(bench_displacement, i)
-        row.loop_tension[i, 0] = _get_entry(loop_moved_tension, i)
-        row.loop_tension[i, 1] = _get_entry(loop_held_tension, i)
-
-
-@jit_compile
-def _get_entry(values: Array, i: int) -> float:
-    """Return an entry, NaN beyond the end (compiled code has no bounds check)."""
-    return values[i] if i < len(values) else math.nan
+        row.tendons[i].tension, row.tendons[i].displacement = channels[0, i], channels[1, i]
+        row.bench_tension[i], row.bench_displacement[i] = channels[2, i], channels[3, i]
+        row.loop_tension[i, 0], row.loop_tension[i, 1] = channels[4, i], channels[5, i]
 
 
 def to_sample_rows(samples: Sequence[RigSample]) -> StructArray:

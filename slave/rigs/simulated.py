@@ -4,11 +4,13 @@ import dataclasses
 import math
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.array_types import Array
+from estimator.compiled import jit_compile
 from slave.rig import RigFault, RigSample, number_joint_tendons
 from slave.simulation.arm import (
     Arm,
@@ -32,6 +34,7 @@ from slave.simulation.environment import (
 from slave.simulation.joint import (
     BodyConfig,
     Joint,
+    JointState,
     Tendon,
     Winding,
     advance_joints,
@@ -43,8 +46,11 @@ from slave.simulation.joint import (
 from slave.simulation.motor import MotorConfig, build_motor
 from slave.simulation.sensing_loop import SensingLoopConfig, SensingLoops
 from slave.simulation.sensors import (
+    CHANNELS,
     EncoderConfig,
     LoadCellConfig,
+    Sensors,
+    SensorState,
     build_sensors,
     init_sensors,
     measure,
@@ -197,6 +203,50 @@ def build_joint(config: JointConfig, pretensions: Sequence[float] = ()) -> Joint
     )
 
 
+class Plant(NamedTuple):
+    """A rig's joints and sensors, for one compiled call a step; all changed in place."""
+
+    joints: list[Joint]
+    states: list[JointState]
+    targets: Array  # [m] of the motors, shape (joints, 2)
+    places: NDArray[np.int64]  # of the tendons in an array of shape (joints, 2)
+    truth: Array  # [N] and [m] in the newest step, shape (4, tendons): `sensors.CHANNELS`
+    sensors: Sensors
+    sensed: SensorState
+
+
+@jit_compile
+def advance_plant(
+    plants: list[Plant],
+    arm: Arm | None,
+    arm_state: Any,
+    steps: int,
+    dt: float,
+    elapsed: float,
+    normal: Array,
+) -> Array:
+    """Advance the first of `plants` by `steps` of `dt` [s]; return what its sensors read then.
+
+    `elapsed` [s] is the time since they were read last, `normal` are standard normal deviates; both
+    they and the reading have shape (4, tendons). `arm` is None where no joints share tendons.
+    """
+    plant = plants[0]
+    if arm is None:
+        channels = advance_joints(plant.joints, plant.states, plant.targets, steps, dt)
+    else:
+        channels = advance_arm(arm, plant.joints, plant.states, arm_state, plant.targets, steps, dt)
+    truth = plant.truth
+    for channel in range(len(truth)):
+        for i, place in enumerate(plant.places):
+            truth[channel, i] = channels[channel, place // 2, place % 2]
+    sensed = measure(plant.sensors, plant.sensed, truth, normal, elapsed)
+    plant.sensed.reading[:] = sensed.reading
+    plant.sensed.lagged[:] = sensed.lagged
+    plant.sensed.travel[:] = sensed.travel
+    plant.sensed.rubbed[:] = sensed.rubbed
+    return sensed.reading
+
+
 class SimulatedRig:
     """A `slave.rig.Rig` with bench sensors at the tips.
 
@@ -216,10 +266,9 @@ class SimulatedRig:
         self._step = -1  # index of the newest sample that was read
         self._ahead = False  # whether the plant is one step ahead of it
         self._next: RigSample | None = None  # of that step, unless an effect changes it
-        self._targets = np.zeros((len(self.joints), 2))
+        self._targets = targets = np.zeros((len(self.joints), 2))
         self._random = np.random.default_rng(config.seed)
         self._normals: Iterator[Array] = iter(())  # of the next steps
-        # places of the tendons in an array of shape (joints, 2)
         self._places = np.flatnonzero([[True, len(tendons) == 2] for tendons in self.joints])
 
         pulls = config.list_pretensions()
@@ -236,25 +285,43 @@ class SimulatedRig:
             for schedule, joint, tendons in zip(self._schedules, joints, self.joints, strict=True)
         ]
         self._arm = build_arm(config.arms, self.joints) if config.arms else None
+        self._arm_state: Any = None  # an ArmState
         if self._arm is not None:
             self._arm_state = init_arm(self._arm)
-            pretensions = np.zeros_like(self._targets)
+            pretensions = np.zeros_like(targets)
             pretensions.flat[self._places] = [pull for row in pulls for pull in row]
             joints = balance_springs(self._arm, joints, pretensions)
         self._joints = to_compiled_list(joints)
         replace_item(self._joints, 0, joints[0])  # compiles the functions for effects
         self._states = to_compiled_list([init_joint(joint, -config.period) for joint in joints])
-        self._truth = self._advance(0, config.period)  # compiles the functions for the loop
 
         plants = [tendon for joint in config.joints for tendon in joint.tendons]
         self._loops = SensingLoops(
             [tendon.loop for tendon in plants], [tendon.sheath for tendon in plants], config.seed
         )
-        sensors = build_sensors([(t.load_cell, t.encoder, t.motor) for t in plants])
-        self._sensor_schedule = SensorSchedule(config.effects, self.joints, sensors)
-        self._sensors = self._sensor_schedule.update_sensors(0.0) or sensors
-        self._sensed = init_sensors(self._truth)
-        self._measure(config.period)  # compiles
+        sensors = [(tendon.load_cell, tendon.encoder, tendon.motor) for tendon in plants]
+        self._sensor_schedule = SensorSchedule(config.effects, self.joints, build_sensors(sensors))
+        self._sensors = build_sensors(sensors)
+        self._update_sensors(0.0)
+        self._truth = np.zeros((len(CHANNELS), self.tendons))
+        sensed = init_sensors(self._truth)
+        self._plants = to_compiled_list(
+            [
+                Plant(
+                    self._joints,
+                    self._states,
+                    targets,
+                    self._places,
+                    self._truth,
+                    self._sensors,
+                    sensed,
+                )
+            ]
+        )
+        self._advance(0, config.period, config.period, np.zeros_like(self._truth))  # the truth
+        for values, steady in zip(sensed, init_sensors(self._truth), strict=True):
+            values[:] = steady
+        self._reading = self._advance(0, config.period, config.period, self._draw_normal())
         self._effects = bool(config.effects)
         self._samples = SampleSchedule(config.effects, config.seed)
 
@@ -274,8 +341,8 @@ class SimulatedRig:
             self._step += behind
         time = self._step * self._period
         if not self._effects:
-            return (RigSample(time, *self._sensed.reading, *self._loops.readings),)
-        reading = self._samples.transmit(time, self._sensed.reading)
+            return (RigSample(time, *self._reading, *self._loops.readings),)
+        reading = self._samples.transmit(time, self._reading)
         return () if reading is None else (RigSample(time, *reading, *self._loops.readings),)
 
     def advance(self) -> RigSample | None:
@@ -285,7 +352,7 @@ class SimulatedRig:
             self._ahead = True
             if not self._effects:
                 time = (self._step + 1) * self._period
-                self._next = RigSample(time, *self._sensed.reading, *self._loops.readings)
+                self._next = RigSample(time, *self._reading, *self._loops.readings)
         return self._next
 
     def write(self, proximal_displacement: Array) -> None:
@@ -350,24 +417,24 @@ class SimulatedRig:
             self._ramps = {i: ramp for i, ramp in ramps.items() if not ramp.advance(dt_ramp)}
         if self._effects:
             self._turn_effects((self._step + behind) * self._period, ramps)
-        self._truth = self._advance(steps, dt)
+        elapsed = behind * self._period
+        self._reading = self._advance(steps, dt, elapsed, self._draw_normal())
         self._loops.advance((self._step + behind) * self._period, steps, dt)
-        self._measure(behind * self._period)
 
-    def _advance(self, steps: int, dt: float) -> Array:
-        joints, states, targets = self._joints, self._states, self._targets
-        if self._arm is None:
-            channels = advance_joints(joints, states, targets, steps, dt)
-        else:
-            channels = advance_arm(self._arm, joints, states, self._arm_state, targets, steps, dt)
-        return channels.reshape(len(channels), -1).take(self._places, axis=1)
+    def _advance(self, steps: int, dt: float, elapsed: float, normal: Array) -> Array:
+        return advance_plant(self._plants, self._arm, self._arm_state, steps, dt, elapsed, normal)
 
-    def _measure(self, dt: float) -> None:
+    def _draw_normal(self) -> Array:
         normal = next(self._normals, None)
         if normal is None:
             self._normals = iter(self._random.standard_normal((NOISE_STEPS, *self._truth.shape)))
             normal = next(self._normals)
-        self._sensed = measure(self._sensors, self._sensed, self._truth, normal, dt)
+        return normal
+
+    def _update_sensors(self, time: float) -> None:
+        sensors = self._sensor_schedule.update_sensors(time)
+        for values, changed in zip(self._sensors, sensors or (), strict=False):
+            values[:] = changed
 
     def _turn_effects(self, time: float, changing: Container[int]) -> None:
         for i, (schedule, tendons) in enumerate(zip(self._schedules, self.joints, strict=True)):
@@ -377,7 +444,7 @@ class SimulatedRig:
                 replace_item(self._joints, i, joint)
                 for tendon, part in zip(tendons, joint[:2], strict=False):
                     self._loops.scale_friction(tendon, part.chain.knobs.friction_scale)
-        self._sensors = self._sensor_schedule.update_sensors(time) or self._sensors
+        self._update_sensors(time)
 
 
 # --- text descriptions of effects, and warnings for those that a run did not reach

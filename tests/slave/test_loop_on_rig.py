@@ -63,7 +63,7 @@ def run(config, position, seconds, spoiled=lambda _time, _last, sample: sample, 
             rig.write(np.array(output.motor))
         states.append(output.state)
         tip.append(bench.memory.coupling.tip[0])
-        tension.append(rig._truth[0])
+        tension.append(rig._truth[0].copy())
         behind.append(np.array(output.motor or (0.0,) * rig.tendons) - last.proximal_displacement)
         if bench.state is State.FAULT:
             break
