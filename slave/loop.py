@@ -19,7 +19,7 @@ from estimator.compiled import jit_compile
 from estimator.online import online
 from estimator.online.tendon_estimate import INVALID_INPUT
 from estimator.small_arrays import copy_values
-from estimator.structs import StructArray, to_struct_array, view_struct
+from estimator.structs import StructArray, as_bytes, to_struct_array, view_struct
 from slave import control, fault_detection, gate, initial_position
 from slave.adaptation import TendonAdapter, build_adapter, mute_monitors
 from slave.arm_estimate import ArmEstimator, build_arm_estimator
@@ -97,10 +97,12 @@ class SlaveRecords(NamedTuple):
 
     @property
     def changing(self) -> tuple[Any, ...]:
-        """The arrays that ticks and samples change."""
+        """The arrays that ticks and samples change; of the memory all before its monitors."""
+        fields: Any = SlaveMemory.dtype.fields
+        memory = as_bytes(self.memory)[: fields["monitors"][1]]
         arm = () if self.arm is None else (self.arm.memory, self.arm.pairs)
         adapted = () if self.adapter is None else (self.prepared, *self.adapter[1:3])
-        return self.memory, self.estimators, *arm, *adapted
+        return memory, self.estimators, *arm, *adapted
 
     @property
     def tick_arguments(self) -> tuple[StructArray, StructArray, StructArray, StructArray]:

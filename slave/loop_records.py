@@ -71,7 +71,6 @@ class SlaveMemory(Struct):
     control: control.ControllerState
     coupling: Side
     tendons: Annotated[Sequence[EstimatedTendon], Field(EstimatedTendon, MAX_TENDONS)]  # newest
-    monitors: Annotated[Sequence[monitor.TendonMonitor], Field(monitor.TendonMonitor, MAX_TENDONS)]
     joints: Annotated[Sequence[JointEstimate], Field(JointEstimate, MAX_JOINTS)]
     reach: Annotated[Sequence[gate.Reach], Field(gate.Reach, MAX_TENDONS)]
     offsets: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] of each tendon
@@ -90,6 +89,8 @@ class SlaveMemory(Struct):
     degradation: Degradation
     probe: Probe
     readiness: I64 = NO_SAMPLE
+    # last, as no tick changes them (`SlaveRecords.changing`)
+    monitors: Annotated[Sequence[monitor.TendonMonitor], Field(monitor.TendonMonitor, MAX_TENDONS)]
 
 
 class Scratch(Struct):

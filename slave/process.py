@@ -272,6 +272,11 @@ class SlaveProcess(LoopProcess):
     def _finish_tick(self, tick: Tick, time_s: float, requests: Requests) -> int:
         """Do the work that is not time-critical; return how long the rig took of it [ns]."""
         slave, rows, sample_count = self._slave, self._rows, self._sample_count
+        for k in range(sample_count):  # close behind the state: one wake-up of Zenoh sends both
+            if self._link.skip_unsubscribed(TENDONS):
+                continue
+            fill_tendon_state(slave.layout, slave.memory, rows, k, self._tendon_state.records)
+            self._link.publish_packet(TENDONS, self._tendon_state)
         begin_ns = now_ns()
         next_sample = None if self.error or self.ended else self._advance_rig()
         rig_ns = now_ns() - begin_ns
@@ -280,11 +285,6 @@ class SlaveProcess(LoopProcess):
         if requests.settings:
             self._process_settings(requests.settings)
         outline = self._outline()
-        for k in range(sample_count):
-            if self._link.skip_unsubscribed(TENDONS):
-                continue
-            fill_tendon_state(slave.layout, slave.memory, rows, k, self._tendon_state.records)
-            self._link.publish_packet(TENDONS, self._tendon_state)
         self._score.add_rows(slave.layout, rows, sample_count)
         self._finish_requests(outline, requests, self._commands, tick.stamp_ns)
         self._publish_ledger(tick.stamp_ns)
