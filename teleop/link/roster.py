@@ -37,7 +37,7 @@ CHALLENGES_PER_STEP = 8  # challenges sent at a time
 
 SECOND_NS = 1_000_000_000  # [ns]
 # [s] between two steps: with much to do, which takes turns; with none
-BUSY_PERIOD_S, IDLE_PERIOD_S = 0.001, 0.01
+BUSY_PERIOD_S, IDLE_PERIOD_S = 0.001, 0.02
 # between two challenges of a process, and two looks at the certificates
 CHALLENGE_PERIOD_NS = 2 * SECOND_NS
 # after the first challenge without an answer; doubles up to `CHALLENGE_PERIOD_NS`
