@@ -9,7 +9,14 @@ from estimator.diagnosis import function_search, report_text
 from estimator.diagnosis.api import diagnose, diagnose_records, prepare_records
 from estimator.diagnosis.baseline import fit_baseline
 from estimator.diagnosis.causes import CauseSearch, find_causes
-from estimator.diagnosis.dataset import build_dataset, read_work_clock
+from estimator.diagnosis.curve import estimate_curve
+from estimator.diagnosis.dataset import (
+    build_contexts,
+    build_dataset,
+    read_work_clock,
+    rescale_residuals,
+    use_all_samples,
+)
 from estimator.diagnosis.fit import fit_model
 from estimator.diagnosis.function_search import fit_functions
 from estimator.diagnosis.outcome import LiveError, Verdict
@@ -30,17 +37,8 @@ FUNCTIONS = ("friction_by_position", "friction_by_rest_time", "elongation_by_ten
 CAUSES = ("constant_drag", "viscous_friction")
 
 
-def diagnosed(name, seed, functions=FUNCTIONS, travel_noise=0.0):
-    made = hidden.make(
-        seed, name, bench="blocked", duration=30.0, rate=50.0, travel_noise=travel_noise
-    )
-    record = prepare_record(made.time, dict(made.channels), variables=made.variables)
-    effects = [effect for effect in CATALOGUE if effect.name in {*CAUSES, name}]
-    return made, diagnose_records([record], [*effects, *map(find_function, functions)])
-
-
 def searched(name, seed, bench, function, travel_noise=0.0):
-    """Return the causes that a search finds on the plain law, and what it leaves of the error."""
+    """Return what a search finds on the plain law, and what that leaves of the error."""
     made = hidden.make(seed, name, bench=bench, duration=30.0, rate=50.0, travel_noise=travel_noise)
     dataset = build_dataset([prepare_record(made.time, dict(made.channels))])
     law = Choice(dataset, fit_baseline(dataset), ())
@@ -48,15 +46,19 @@ def searched(name, seed, bench, function, travel_noise=0.0):
     search = CauseSearch([*effects, find_function(function)], TimeBudget(1e3, read_work_clock))
     found, _ = find_causes([law], search, fit_all=False)
     errors = [compute_errors(found.dataset, fit) for fit in (found.fit, found.base_fit)]
-    return made, found.steps, compute_residual_fraction(*errors)
+    return made, found, compute_residual_fraction(*errors)
 
 
 def test_the_variable_and_its_curve_are_found():
-    made, found = diagnosed("outside:friction_over_position", 21)
+    name = "outside:friction_over_position"
+    made = hidden.make(21, name, bench="blocked", duration=30.0, rate=50.0)
+    record = prepare_record(made.time, dict(made.channels), variables=made.variables)
+    effects = [effect for effect in CATALOGUE if effect.name in CAUSES]
+    found = diagnose_records([record], [*effects, *map(find_function, FUNCTIONS)])
     assert found.verdict is Verdict.CHARACTERISED
     assert found.causes == ("friction_by_position",)
     assert found.residual_fraction < 0.1
-    curve, truth = found.curve, made.truth["outside:friction_over_position"]
+    curve, truth = found.curve, made.truth[name]
     true = hidden.courses.on_curve(**truth, share=np.linspace(0.0, 1.0, len(curve.x)))
     true = (1.0 + true) / (1.0 + np.median(true)) - 1.0
     inner = slice(10, -10)
@@ -75,10 +77,11 @@ def test_the_variable_and_its_curve_are_found():
 
 
 def test_the_band_holds_the_curve_where_the_spline_cannot_follow_it():
-    made, found = diagnosed(
-        "outside:rough_spot", 512, functions=("friction_by_position",), travel_noise=5e-7
-    )
-    record, curve = found.dataset.records[0], found.curve
+    made, found, _ = searched("outside:rough_spot", 512, "blocked", "friction_by_position", 5e-7)
+    full = rescale_residuals(use_all_samples(found.dataset), found.fit)
+    contexts = build_contexts(found.dataset, found.base_fit)
+    curve = estimate_curve(full, contexts, fit_model(full, contexts, found.fit.model))
+    record = found.dataset.records[0]
     value, width = (np.interp(record.drive, curve.x, y) for y in (curve.value, curve.half_width))
     friction = np.interp(record.start + record.time, made.time, made.friction)
     true = friction * np.median((1.0 + value) / friction) - 1.0
@@ -90,17 +93,17 @@ def test_the_band_holds_the_curve_where_the_spline_cannot_follow_it():
 def test_a_curve_is_as_smooth_as_held_out_samples_favour(variable):
     """A line to few samples at an end of the range, or too stiff a curve, is not significant."""
     name, function = f"outside:friction_over_{variable}", f"friction_by_{variable}"
-    _, steps, residual_fraction = searched(name, 301, "blocked", function, travel_noise=5e-7)
-    assert [step.effect.name for step in steps] == [function]
+    _, found, residual_fraction = searched(name, 301, "blocked", function, travel_noise=5e-7)
+    assert [step.effect.name for step in found.steps] == [function]
     assert residual_fraction < 0.1
 
 
 def test_a_cycle_is_found_that_lasts_as_long_as_two_blocks():
     name = "outside:friction_over_cycle"
-    made, steps, residual_fraction = searched(name, 401, "spring", "friction_by_phase", 5e-7)
-    assert [step.effect.name for step in steps] == ["friction_by_phase"]
+    made, found, residual_fraction = searched(name, 401, "spring", "friction_by_phase", 5e-7)
+    assert [step.effect.name for step in found.steps] == ["friction_by_phase"]
     assert residual_fraction < 0.1
-    ((_, (period, *_)),) = steps[-1].fit.model.effects
+    ((_, (period, *_)),) = found.steps[-1].fit.model.effects
     assert period == pytest.approx(made.truth[name]["period"], rel=0.01)
 
 
@@ -114,8 +117,8 @@ def test_a_cycle_is_found_that_lasts_as_long_as_two_blocks():
     ],
 )
 def test_a_named_cause_is_preferred_to_a_curve(name, seed, function):
-    _, steps, _ = searched(name, seed, "blocked", function)
-    assert [step.effect.name for step in steps] == [name]
+    _, found, _ = searched(name, seed, "blocked", function)
+    assert [step.effect.name for step in found.steps] == [name]
 
 
 def test_a_curve_stays_as_it_is_beyond_its_range_and_closes_over_a_period():
@@ -206,7 +209,7 @@ def test_functions_of_data_of_no_tendon_are_given_up_after_the_first_fits():
 
 
 def test_a_function_is_fitted_to_no_more_samples_of_a_long_record(monkeypatch):
-    made = hidden.make(21, "outside:friction_over_position", duration=10.0, rate=600.0)
+    made = hidden.make(21, "outside:friction_over_position", duration=10.0, rate=300.0)
     sizes = []
 
     def fit(dataset, *others):
@@ -214,7 +217,7 @@ def test_a_function_is_fitted_to_no_more_samples_of_a_long_record(monkeypatch):
         return fit_model(dataset, *others)
 
     monkeypatch.setattr(function_search, "fit_model", fit)
-    monkeypatch.setattr(function_search, "FITTED_SIZE", 4000)
+    monkeypatch.setattr(function_search, "FITTED_SIZE", 2000)
     dataset = build_dataset([prepare_record(made.time, dict(made.channels))])
     functions = [find_function("friction_by_position")]
     (found,) = fit_functions(dataset, fit_baseline(dataset), functions, ignore_progress)
