@@ -97,6 +97,7 @@ def replace_sheath_model(tendon: TendonConfig | None, file: Path) -> TendonConfi
         friction_error=tendon.friction_error,
         elongation_error=tendon.elongation_error,
         tip_tension_rate=tendon.tip_tension_rate,
+        loop_friction=tendon.loop_friction,
     )
 
 

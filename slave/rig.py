@@ -1,8 +1,10 @@
 """The rig interface: motors and sensors at the housing, simulated, replayed or real."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, cast
+
+import numpy as np
 
 from estimator.array_types import Array
 
@@ -23,6 +25,15 @@ class RigSample:
     # [N] at the two ends of a sensing loop in the tube of each tendon; NaN where there is none
     loop_moved_tension: Array | None = None
     loop_held_tension: Array | None = None
+
+
+def collect_loop_tensions(samples: Sequence[RigSample]) -> Array | None:
+    """Return tensions [N] of sensing loops, shape (ends, samples, tendons), None without loops."""
+    if samples[0].loop_moved_tension is None:
+        return None
+    return np.array(
+        [[s.loop_moved_tension for s in samples], [s.loop_held_tension for s in samples]]
+    )
 
 
 class RigFault(Exception):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from slave.calibration.posture import JointTravels
 from slave.calibration.procedure_state import ProcedureState, StopContact
-from slave.rig import RigSample
+from slave.rig import RigSample, collect_loop_tensions
 
 Codes = NDArray[np.int64]
 
@@ -31,6 +31,7 @@ class ProcedureData:
     side: Codes  # shape (n, j): which tendon of the joint was pulled, 2 and 3 in drags
     releases: Codes  # shape (n, j): ended on that side
     stops: tuple[tuple[StopContact, ...], ...]  # of each joint, one a tendon
+    loop_tension: Array | None  # [N] at both ends of sensing loops, shape (2, n, t)
 
 
 @dataclass
@@ -77,4 +78,5 @@ class ProcedureLog:
             side=codes[:, :, 1],
             releases=codes[:, :, 2],
             stops=tuple(stops),
+            loop_tension=collect_loop_tensions(self.samples),
         )

@@ -19,6 +19,8 @@ from estimator.calibration.calibration import CalibrationError
 from estimator.fitting import COVERAGE_FACTOR, MeasuredValue
 from estimator.law.sheath import Sheath
 from estimator.plausibility import find_implausible_parameter
+from estimator.sensing_loop import LoopState, measure_loop_friction
+from estimator.structs import view_struct
 from slave.calibration.config import KnownSheathConfig
 from slave.calibration.file import TendonCalibration, ValueWithUncertainty
 from slave.calibration.procedure_state import (
@@ -281,7 +283,20 @@ def _build_tendon_config(
                 COVERAGE_FACTOR * calibration.K.uncertainty / calibration.K.value,
             )
         ),
+        loop_friction=_measure_loop(pulled.record, pulled.tendon),
     )
+
+
+def _measure_loop(record: ProcedureData, tendon: int) -> float:
+    """Return the friction of its sensing loop, the median reading; 0 without one."""
+    if record.loop_tension is None:
+        return 0.0
+    state, dt = view_struct(LoopState.array()), np.diff(record.time, prepend=record.time[0])
+    moved, held = record.loop_tension[:, :, tendon]
+    rows = zip(moved, held, dt, strict=True)
+    readings = np.array([measure_loop_friction(state, *row) for row in rows])
+    found = readings[np.isfinite(readings)]
+    return round_significant(float(np.median(found))) if len(found) else 0.0
 
 
 def _scale_sections(model: Sheath, K: float) -> tuple[SectionConfig, ...]:

@@ -17,7 +17,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.measured_data import Samples
 from slave.config import SlaveConfig
-from slave.rig import RigSample
+from slave.rig import collect_loop_tensions
 from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
 from slave.sheath_section import SectionConfig
 from slave.simulation.effects import EffectConfig
@@ -309,15 +309,9 @@ def simulate(
         np.array([row.proximal_displacement for row in rows]),
         np.array([row.bench_distal_tension for row in rows]),
         np.array([row.bench_distal_displacement for row in rows]),
-        _collect_loops(rows),
+        collect_loop_tensions(rows),
         *(np.array(values) for values in zip(*of_arm, strict=True)),
     )
-
-
-def _collect_loops(rows: Sequence[RigSample]) -> Array | None:
-    if rows[0].loop_moved_tension is None:
-        return None
-    return np.array([[r.loop_moved_tension for r in rows], [r.loop_held_tension for r in rows]])
 
 
 def load_rig_config(path: str | Path | None, overrides: Sequence[str] = ()) -> SimulatedRigConfig:

@@ -143,9 +143,11 @@ def test_a_config_names_its_model_from_its_own_folder(file, tmp_path):
 
 
 def test_noise_and_pretension_stay_where_a_model_replaces_the_sheath(file):
-    known = TendonConfig(effective_friction=0.5, tension_noise=0.01, pretension=0.7, drag=0.2)
+    known = TendonConfig(
+        effective_friction=0.5, tension_noise=0.01, pretension=0.7, drag=0.2, loop_friction=0.3
+    )
     (tendon,) = load_tendon_configs(SlaveConfig(tendons=(known,)), 1, ((0,),), {"": file})
-    assert (tendon.tension_noise, tendon.pretension) == (0.01, 0.7)
+    assert (tendon.tension_noise, tendon.pretension, tendon.loop_friction) == (0.01, 0.7, 0.3)
     assert tendon.build_model().sheath.drag == pytest.approx(0.4)
     (alone,) = load_tendon_configs(SlaveConfig(), 1, ((0,),), {"": file})
     assert alone.model_file == file

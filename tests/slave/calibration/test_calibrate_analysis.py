@@ -13,7 +13,9 @@ from slave.calibration.tendon_identification import (
     build_tendon_calibration,
 )
 from slave.calibration.tendon_identification import calibrate_tendon as calibrated_by_loop
+from slave.rigs.simulated import SimulatedRig
 from slave.simulation.environment import TissueConfig, WallConfig
+from slave.simulation.sensing_loop import SensingLoopConfig
 from tests.slave.calibration.calibration_bench import (
     EA,
     LENGTH,
@@ -51,6 +53,17 @@ def integral(sections, friction, sign):
             total += math.exp(sign * (s + 0.5 * ds)) * dx / EA
             s += ds
     return total
+
+
+def test_the_friction_of_a_sensing_loop_is_found_beside_that_of_its_tendon():
+    (tendon,), loop = SPRING.tendons, SensingLoopConfig(friction=0.06)
+    rig = SimulatedRig(rig_config(but(SPRING, tendons=(but(tendon, loop=loop),))))
+    pulled = PulledTendon(calibrated(rig, rate_hz=250.0).record, 0, 0)
+    _, model = build_tendon_calibration(pulled, KNOWN, calibrated_by_loop(pulled, KNOWN, QUICK.low))
+    (section,) = tendon.sheath.sections
+    there_and_back = 2.0 * loop.friction * section.length / section.radius
+    assert model.loop_friction == pytest.approx(there_and_back, rel=0.03)
+    assert direction_a(SPRING)[1].loop_friction == 0.0
 
 
 def test_an_even_sheath_is_found_by_all_methods():
