@@ -3,7 +3,8 @@
 python -m studies.estimator_speed
 
 A step from Python, with the law alone and with an effect beside it; a compiled run over a record;
-and the law alone against a numpy clip for each node and a stack in pure Python. Takes 15 s.
+the law alone against a numpy clip for each node and a stack in pure Python; and what adaptation of
+K adds to a tick of 8 joints. Takes 30 s.
 """
 
 import functools
@@ -13,17 +14,24 @@ from collections import deque
 
 import numpy as np
 
+from estimator.adaptation import UPDATE_S, Adaptation, build_adaptation, observe
 from estimator.array_types import Array
+from estimator.compiled import jit_compile
 from estimator.effects import elasticity, friction
 from estimator.effects.effect import Effect, Values
 from estimator.law.sheath import Sheath
 from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
 from estimator.online import online
 from estimator.online.extended_model import build_extended_model
+from estimator.online.tendon_estimate import TendonEstimate
+from estimator.pair_adaptation import PairAdaptation, observe_pair
+from estimator.structs import StructArray
+from studies.adaptation import UNCHANGED, simulate_use
 from studies.testbed.command import measure_us, parse_options
 
 SHEATH = Sheath.uniform(1.0, 1.5, 9000.0)
 NODES = 64
+JOINTS = 8
 RATE = 1000.0  # [Hz]
 
 BESIDE: tuple[tuple[Effect, Values], ...] = (
@@ -118,8 +126,74 @@ def print_steps(T: Array, q: Array) -> None:
     print()
 
 
+@jit_compile
+def take_sample(
+    constants: StructArray,
+    singles: StructArray,
+    pairs: StructArray,
+    prepared: StructArray,
+    estimators: StructArray,
+    estimates: StructArray,
+    sample: Array,
+    loop: Array,
+    dt: float,
+) -> None:
+    """Estimate T_in [N] and q_p [m] of all tendons; adapt `singles`, or `pairs` of neighbours."""
+    for i in range(len(prepared)):
+        T, q = sample[0, i], sample[1, i]
+        online.advance(prepared[i], estimators[i], T, q, dt, estimates[i], None)
+    for i in range(len(singles)):
+        observe(constants[i], singles[i], prepared[i], estimators[i], estimates[i], loop, dt)
+    for k in range(len(pairs)):
+        i, j = 2 * k, 2 * k + 1
+        observe_pair(
+            constants[i], constants[j], pairs[k], prepared[i], prepared[j],
+            estimators[i], estimators[j], estimates[i], estimates[j], loop, loop, dt,
+        )  # fmt: skip
+
+
+def time_ticks(pair: bool, adapts: bool) -> Array:
+    """Return the least of three times [us] of each tick of `JOINTS` joints that move alike."""
+    use = simulate_use(0, pair, UNCHANGED)
+    models = use.models * JOINTS
+    rows = np.tile(np.stack([use.tension, use.travel], 1), JOINTS)
+    constants, loop = np.concatenate([build_adaptation(m) for m in models]), np.full(2, np.nan)
+    taken = np.empty((3, len(rows)))
+    for run in taken:
+        singles = Adaptation.array(len(models) * (adapts and not pair))
+        pairs = PairAdaptation.array(JOINTS * (adapts and pair))
+        for joint, state in enumerate(pairs):  # as in a session: not all update in one tick
+            state["a"]["update_age"] = joint / JOINTS * UPDATE_S
+            state["b"]["update_age"] = (joint + 0.5) / JOINTS * UPDATE_S
+        singles["update_age"] = np.arange(len(singles)) / max(len(singles), 1) * UPDATE_S
+        prepared = online.prepare_all(models)
+        states = (
+            prepared,
+            online.build_initial_states(prepared),
+            TendonEstimate.array(len(models)),
+        )
+        for n, sample in enumerate(rows):
+            start = time.perf_counter_ns()
+            take_sample(constants, singles, pairs, *states, sample, loop, 2e-3)
+            run[n] = time.perf_counter_ns() - start
+    return taken.min(axis=0)[1:] / 1e3
+
+
+def print_adaptation() -> None:
+    """Print what adaptation of K adds to a tick."""
+    print(f"{f'tick of {JOINTS} joints [us]':34}  median   99.9 %   largest   times fixed K")
+    for pair in (False, True):
+        fixed = time_ticks(pair, adapts=False)
+        for adapts, taken in ((False, fixed), (True, time_ticks(pair, adapts=True))):
+            name = f"{'pairs' if pair else 'single tendons'}, {'adapted' if adapts else 'fixed K'}"
+            print(f"{name:34}{np.median(taken):8.1f}{np.percentile(taken, 99.9):9.1f}"
+                  f"{taken.max():10.1f}{np.median(taken) / np.median(fixed):16.2f}")  # fmt: skip
+    print()
+
+
 def main() -> None:
     parse_options(__doc__)
+    print_adaptation()
     time_s, T, q = simulate_hand(20_000)
     print_steps(T, q)
     prepared = online.prepare(
