@@ -108,6 +108,38 @@ def test_friction_that_jumps_by_half_is_found_in_both_tendons_within_seconds():
         assert run.K[-1] == pytest.approx(K, rel=0.06)
 
 
+def simulate_strokes(K, compliance, rate, strokes):
+    """Return T_in and q_p of tendons that drag a joint to and fro, by nodes of equal friction.
+
+    The joint, of friction 0.15 N, rests while the tensions change, so that both slide afterwards.
+    """
+    rng, depth = np.random.default_rng(1), np.linspace(0.0, 1.0, 50)[:, None] * K
+    y, before, rows = np.zeros_like(depth), np.ones(2), []
+    for stroke in range(strokes):
+        pulled, T = stroke % 2, np.empty(2)
+        T[1 - pulled] = rng.uniform(0.6, 0.65)
+        T[pulled] = np.exp(K[pulled]) * (T[1 - pulled] * np.exp(K[1 - pulled]) + 0.15)
+        for share in np.arange(rate) / rate:
+            u = np.log(before + min(share / 0.3, 1.0) * (T - before))
+            place = (1 - 2 * pulled) * (-5e-3 + 1e-2 * max(share - 0.3, 0.0) / 0.7)
+            y = np.minimum(np.maximum(y, u - depth), u + depth)
+            rows.append([*np.exp(u), *(np.exp(y).mean(0) * compliance + [place, -place])])
+        before = T
+    return np.array(rows)
+
+
+def test_noise_does_not_draw_k_where_little_tells_it():
+    """K of one against that of the other: a noisy T_in is in the residual and in its slope."""
+    K, EA, rate, noise = np.array([0.5, 1.0]), 9e3, 250, 0.05
+    rows = simulate_strokes(K, 1.0 / EA, rate, strokes=220)
+    rows += np.random.default_rng(2).normal(0.0, 1.0, rows.shape) * [noise, noise, 1e-6, 1e-6]
+    a, b = (TendonModel(Sheath.uniform(k, 1.0, EA), noise, 1e-6, initial=1.0) for k in K)
+    time = np.arange(len(rows)) / rate
+    for run in run_adapting_pair((a, b), time, rows[:, :2], rows[:, 2:]):
+        assert run.pieces > 5_000
+        assert run.adapted_from == -1
+
+
 def test_samples_that_are_missing_are_skipped(changed):
     use, runs = changed
     tension = use.tension.copy()

@@ -103,7 +103,7 @@ def test_the_tendons_of_a_pair_take_their_loops_readings():
     use = simulate_use(1, pair=True, given=Conditions(has_loops=True, settle=3.0))
     bare = score_use(use._replace(loop=None), 3.0)
     for scores, without in zip(score_use(use, 3.0), bare, strict=True):
-        assert abs(scores.K_error[0]) < 0.05 < abs(without.K_error[0])
+        assert abs(scores.K_error[0]) < 0.01 < abs(without.K_error[0])
         assert abs(scores.K_error[1]) < 0.02
     T, q = use.tension, use.travel
     only_a = use.loop.copy()
