@@ -4,11 +4,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from typing import Self, TextIO
+from typing import TYPE_CHECKING, Self, TextIO
 
-from rich.console import Console, RenderableType
-from rich.live import Live
-from rich.text import Text
+if TYPE_CHECKING:  # 70 ms of each start of a slave, which shows none
+    from rich.console import RenderableType
+    from rich.live import Live
+    from rich.text import Text
 
 _PERIOD_S = 0.2  # between two drawings of the status line
 
@@ -20,6 +21,8 @@ class StatusLine:
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
+        from rich.console import Console
+
         stream = stream or sys.stdout
         self._console = Console(file=stream, force_terminal=stream.isatty(), highlight=False)
         self.live = self._console.is_terminal and not self._console.is_dumb_terminal
@@ -27,7 +30,7 @@ class StatusLine:
         self._display: Live | None = None
         self._drawn_s = -_PERIOD_S
 
-    def say(self, text: str | RenderableType) -> None:
+    def say(self, text: "str | RenderableType") -> None:
         """Print an ordinary line, or a table."""
         with self._lock:
             if isinstance(text, str):
@@ -36,8 +39,11 @@ class StatusLine:
                 self._console.print(text)
             self._console.file.flush()
 
-    def show(self, text: str | Text) -> None:
+    def show(self, text: "str | Text") -> None:
         """Replace the status line; it is drawn a few times a second at most."""
+        from rich.live import Live
+        from rich.text import Text
+
         now = time.monotonic()
         if not self.live or now - self._drawn_s < _PERIOD_S:
             return
