@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-import textwrap
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
@@ -68,30 +67,20 @@ def record(
     return writer.path
 
 
-RUN = textwrap.dedent(
-    """
-    import argparse, importlib, sys
-    from teleop.errors import TeleopError
-    from teleop.runtime.process import die_with_parent
-
-    die_with_parent(int(sys.argv.pop(1)))
-    command = importlib.import_module(sys.argv[1])
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    try:
-        sys.exit(command.main(parser.parse_args(sys.argv[2:])))
-    except TeleopError as error:
-        print(error, file=sys.stderr)
-        sys.exit(error.exit_code)
-    """
-)
+RUN = """
+import sys
+from teleop import __main__
+from teleop.runtime.process import die_with_parent
+die_with_parent(int(sys.argv.pop(1)))
+sys.exit(__main__.main())
+"""
 
 
-def start(module: str, link: LinkConfig, *arguments: str) -> "subprocess.Popen[str]":
-    """Start a command module as a process of its own."""
+def start(command: str, link: LinkConfig, *arguments: str) -> "subprocess.Popen[str]":
+    """Start a command as a process of its own, which ends with this one."""
     ends = [f"--set=link.master={link.master}", f"--set=link.slave={link.slave}"]
     return subprocess.Popen(
-        [sys.executable, "-c", RUN, str(os.getpid()), module, *arguments, *ends],
+        [sys.executable, "-c", RUN, str(os.getpid()), command, *arguments, *ends],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -162,7 +162,7 @@ def test_a_session_that_goes_on_does_not_keep_the_recorder(tmp_path):
 
 def test_missing_messages_are_told_and_end_the_command_with_exit_code_1(tmp_path):
     config = free_config()
-    process = start("teleop.recording.command", config, f"--out={tmp_path}", "--set=session=bench")
+    process = start("record", config, f"--out={tmp_path}", "--set=session=bench")
     assert process.stdout.readline().startswith("recording session")
     with Link(config, "bench", Role.SLAVE) as slave:
         wait_until(lambda: slave.has_listener(STATE))

@@ -146,7 +146,7 @@ def test_a_replay_and_a_real_loop_never_share_a_session(recording, refused):
     with Link(config, "demo-replay", Role.SLAVE):
         assert "has a slave already" in refused("replay", path, *ends)
 
-    replay = start("teleop.recording.replay", config, str(path), "--loop", "--session", "bench")
+    replay = start("replay", config, str(path), "--loop", "--session", "bench")
     assert "'bench'" in replay.stdout.readline()
     for role in (Role.MASTER, Role.SLAVE):
         with pytest.raises(PeerError), Link(config, "bench", role):
@@ -174,7 +174,7 @@ def test_the_recorder_hears_a_whole_session_and_says_so(tmp_path):
     config = free_config()
     (tmp_path / "session.yaml").write_text("session: bench\n")
     recorder = start(
-        "teleop.recording.command", config, f"--config={tmp_path / 'session.yaml'}",
+        "record", config, f"--config={tmp_path / 'session.yaml'}",
         f"--out={tmp_path / 'out'}", f"--json={tmp_path / 'summary.json'}",
     )  # fmt: skip
     assert "'bench'" in recorder.stdout.readline()

@@ -5,4 +5,4 @@ import pytest
 
 @pytest.fixture
 def path(tmp_path):
-    return tmp_path / "joint.csv"
+    return tmp_path / "data.csv"

@@ -15,9 +15,13 @@ def pull(path, **columns):
     return time, tension
 
 
-def refusal(path, **options):
+def refusal(path, text=None, **options):
+    """Return the one line with which a file, or text written to it, is refused."""
+    if text is not None:
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(UsageError) as caught:
         read_table(path, **options)
     message = str(caught.value)
     assert "\n" not in message
+    assert str(path) in message
     return message

@@ -13,27 +13,11 @@ from teleop.data.table import Columns, read_table, read_tables, write_table
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS, TendonState, pad_values
 from teleop.messages.topics import TENDONS
+from tests.teleop.data.records import refusal
 from tests.teleop.recorded import START_NS, record
 
 GOOD = "time_s,proximal_tension_N\n0.0,1.0\n0.1,2.0\n0.2,3.0\n"
 HEAD = "time_s,proximal_tension_N,proximal_displacement_m\n"
-
-
-def refusal(path, text=None, **options):
-    """Return the one line with which a file is refused."""
-    if text is not None:
-        path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    with pytest.raises(UsageError) as caught:
-        read_table(path, **options)
-    message = str(caught.value)
-    assert "\n" not in message
-    assert str(path) in message
-    return message
-
-
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "data.csv"
 
 
 # --- what is accepted
