@@ -10,6 +10,7 @@ from typing import Any
 
 from studies.testbed.processes import find_free_ports
 from teleop.link import LatestMessage, Link, LinkConfig
+from teleop.link.network import open_session
 from teleop.link.rate_limit import RefusalCounter
 from teleop.messages.messages import LAYOUT, Command
 from teleop.messages.topics import COMMAND, Role
@@ -86,6 +87,11 @@ def rogue_of(
     wait_until(lambda: rogue.connected(count))
     time.sleep(0.2)
     return rogue
+
+
+def open_as(role: CertificateRole, config: LinkConfig) -> Any:
+    """Open a session of plain Zenoh with the slave, by a certificate of this user."""
+    return open_session(create_local_credentials("test", role), [], [config.slave])
 
 
 @contextmanager

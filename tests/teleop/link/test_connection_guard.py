@@ -16,12 +16,11 @@ import zenoh
 
 from teleop.link import Link, connection_guard, packet_filter, socket_tables
 from teleop.link.connection_guard import ConnectionGuard
-from teleop.link.network import open_session
 from teleop.messages.topics import Role
 from teleop.security import CertificateRole, Identity
 from teleop.security.credentials import create_local_credentials
 from tests.rogue import Rogue
-from tests.teleop.link.bench import await_refusals, no_descriptor_left, wait_until
+from tests.teleop.link.bench import await_refusals, no_descriptor_left, open_as, wait_until
 
 STRANGER = """
 import encodings.idna, os, socket, ssl, sys, threading, time
@@ -61,12 +60,10 @@ def stranger(kind, endpoint):
             process.kill()
 
 
-def connects(endpoint, seconds):
+def connects(config, role=CertificateRole.VIEWER):
     """Assert that a holder of a certificate is let in."""
-    with open_session(
-        create_local_credentials("test", CertificateRole.VIEWER), [], [endpoint]
-    ) as viewer:
-        wait_until(lambda: bool(viewer.info.peers_zid()), seconds)
+    with open_as(role, config) as viewer:
+        wait_until(lambda: bool(viewer.info.peers_zid()), 20.0)
 
 
 @needs_root
@@ -78,8 +75,8 @@ def test_a_stranger_keeps_nobody_out(kind, config, monkeypatch):
         with stranger(kind, config.slave):
             await_refusals(slave.refusals, "without a certificate from 127.0.0.0/8")
             for _ in range(3):
-                connects(config.slave, 20.0)
-        connects(config.slave, 20.0)
+                connects(config)
+        connects(config)
 
 
 def test_half_open_connections_are_ended(config, monkeypatch):
@@ -92,7 +89,7 @@ def test_half_open_connections_are_ended(config, monkeypatch):
         for connection in silent:
             connection.settimeout(30.0)
             assert connection.recv(1) == b""
-        connects(config.slave, 20.0)
+        connects(config)
 
 
 @pytest.mark.parametrize(("host", "network"), [("127.0.0.1", "127.0.0.0/8"), ("::1", "::1/128")])
@@ -288,12 +285,8 @@ def test_who_cannot_stop_and_sends_too_much_gets_no_new_connection(config, monke
     monkeypatch.setattr(connection_guard, "NAME_BLOCK_S", 1000.0)
     with Link(config, "test", Role.SLAVE) as slave:
         refusal = "a connection of the certificate viewer.test: it sends too much"
-        with open_session(
-            create_local_credentials("test", CertificateRole.RECORDER), [], [config.slave]
-        ) as other:
-            with open_session(
-                create_local_credentials("test", CertificateRole.VIEWER), [], [config.slave]
-            ) as one:
+        with open_as(CertificateRole.RECORDER, config) as other:
+            with open_as(CertificateRole.VIEWER, config) as one:
                 wait_until(lambda: bool(one.info.peers_zid()))
                 names, kept = itertools.count(), []
 
@@ -351,10 +344,7 @@ def test_subscribers_are_let_in_of_topics_only(config):
 def test_one_certificate_has_a_bounded_number_of_connections(config, monkeypatch):
     monkeypatch.setattr(connection_guard, "CONNECTIONS_PER_NAME_MAX", 2)
     with Link(config, "test", Role.SLAVE) as slave, ExitStack() as stack:
-        credentials = create_local_credentials("test", CertificateRole.VIEWER)
         for _ in range(4):
-            stack.enter_context(open_session(credentials, [], [config.slave]))
+            stack.enter_context(open_as(CertificateRole.VIEWER, config))
         await_refusals(slave.refusals, "a connection of the certificate viewer.test: it has 2")
-        connects_as = create_local_credentials("test", CertificateRole.RECORDER)
-        with open_session(connects_as, [], [config.slave]) as recorder:
-            wait_until(lambda: bool(recorder.info.peers_zid()), 20.0)
+        connects(config, CertificateRole.RECORDER)

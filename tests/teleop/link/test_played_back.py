@@ -12,7 +12,6 @@ import zenoh
 from teleop.link import Link
 from teleop.link import roster as roster_module
 from teleop.link.admission import CHALLENGE_BYTES, build_challenge_key
-from teleop.link.network import open_session
 from teleop.link.roster import GROUP_TOKENS_MAX
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import COMMAND, Role
@@ -21,7 +20,7 @@ from teleop.security.credentials import create_local_credentials
 from teleop.security.handshake import Handshake
 from teleop.security.keyring import ADDRESSEES
 from teleop.security.presence import RoleStage, Token
-from tests.teleop.link.bench import await_refusals, pump, rogue_of, session, wait_until
+from tests.teleop.link.bench import await_refusals, open_as, pump, rogue_of, session, wait_until
 
 SILENT = "that does not answer: it hangs, or somebody plays its token back"
 
@@ -98,10 +97,9 @@ def rogue_tokens(rogue, master):
 
 
 def test_a_challenge_is_answered_to_genuine_askers_only(config):
-    credentials = create_local_credentials("test", CertificateRole.ROUTER)
     with (
         Link(config, "test", Role.SLAVE) as slave,
-        open_session(credentials, [], [config.slave]) as asking,
+        open_as(CertificateRole.ROUTER, config) as asking,
     ):
         genuine = recorded(Role.MASTER, 5)
         challenge = bytes(CHALLENGE_BYTES)

@@ -14,35 +14,30 @@ def free_port():
         return one.getsockname()[1]
 
 
+def open_zenoh(mode, **settings):
+    """A session without multicast; in the name of a setting, __ stands for /."""
+    config = zenoh.Config()
+    for key, value in ({"mode": mode, "scouting__multicast__enabled": False} | settings).items():
+        config.insert_json5(key.replace("__", "/"), json.dumps(value))
+    return zenoh.open(config)
+
+
 @contextlib.contextmanager
 def router(endpoint=None):
     """A Zenoh session in the role of `rmw_zenohd`; yields its endpoint."""
     endpoint = endpoint or f"tcp/127.0.0.1:{free_port()}"
-    config = zenoh.Config()
-    for key, value in {
-        "mode": "router",
-        "listen/endpoints": [endpoint],
-        "scouting/multicast/enabled": False,
-    }.items():
-        config.insert_json5(key, json.dumps(value))
-    with zenoh.open(config):
+    with open_zenoh("router", listen__endpoints=[endpoint]):
         yield endpoint
 
 
-@contextlib.contextmanager
 def peer(endpoint):
     """A session as a ROS node's: a peer with gossip, connected to the router."""
-    config = zenoh.Config()
-    for key, value in {
-        "mode": "peer",
-        "connect/endpoints": [endpoint],
-        "listen/endpoints": ["tcp/127.0.0.1:0"],
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": True,
-    }.items():
-        config.insert_json5(key, json.dumps(value))
-    with zenoh.open(config) as session:
-        yield session
+    return open_zenoh(
+        "peer",
+        connect__endpoints=[endpoint],
+        listen__endpoints=["tcp/127.0.0.1:0"],
+        scouting__gossip__enabled=True,
+    )
 
 
 class Heard:
