@@ -9,6 +9,7 @@ import sys
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import ExitStack
+from functools import partial
 
 import numpy as np
 import pytest
@@ -88,6 +89,24 @@ def test_the_reports_of_a_side_are_published_in_ticks_of_their_own(session: Sess
     published = np.diff(numbers, axis=0)
     assert published.sum(axis=0).min() >= 1
     assert published.sum(axis=1).max() == 1
+
+
+def test_what_can_be_undone_leaves_the_monitors_which_are_not_copied(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monitors, seen = session.slave._slave.memory["monitors"], set()
+
+    def compare(call, *arguments):
+        seen.add(before := monitors.tobytes())
+        result = call(*arguments)
+        assert monitors.tobytes() == before
+        return result
+
+    for name in ("_step", "_estimate_ahead"):
+        monkeypatch.setattr(session.slave, name, partial(compare, getattr(session.slave, name)))
+    for _ in range(20):
+        session.tick()
+    assert len(seen) >= 20  # they change after each tick
 
 
 def test_live_messages_are_as_long_as_they_were(session: Session) -> None:
