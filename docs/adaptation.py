@@ -19,15 +19,13 @@ from estimator.array_types import Array
 from estimator.figure_style import STYLE
 from estimator.online import online
 from estimator.online.online import Estimates
-from estimator.structs import to_struct
 from slave.config import SlaveConfig, load_tendon_configs
 from slave.rigs.simulated import SimulatedRigConfig, build_joint
 from slave.simulation.environment import TissueConfig
 from slave.simulation.joint import init_joint
 from slave.simulation.tendon import divide_sheath
-from studies.adaptation import NOISE_M, NOISE_N, RATE, run_plant
+from studies.adaptation import NOISE_M, NOISE_N, RATE, render, run_plant
 from teleop.config.loading import load
-from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate_force
 
 ROOT = Path(__file__).parents[1]
 IMAGE = ROOT / "docs" / "images" / "adaptation.png"
@@ -37,7 +35,6 @@ WALL = TissueConfig(position=0.003, stiffness=2000.0, exponent=1.0)
 WINDOWS = (("before", 16.4, 20.0), ("while it moves", 20.0, 26.4), ("after", 46.4, 50.0))  # [s]
 TRUE, FIXED = "#E69F00", "#D55E00"  # Okabe and Ito
 ADAPTED, RENDERED = "#0072B2", "#56B4E9"
-CONFIDENCE = to_struct(ConfidenceConfig())
 
 
 class Press(NamedTuple):
@@ -70,12 +67,6 @@ def simulate() -> Press:
     fixed = online.run(online.prepare(model), t, T, q)
     K = model.sheath.K * (1.0 + CHANGE * grown)
     return Press(t, truth[:, 2, 0], K, fixed, run_adapting(model, t, T, q))
-
-
-def render(run: Estimates) -> Array:
-    """Return the force [N] that reaches the hand, before it is scaled."""
-    rows = zip(run.distal_tension, run.low, run.high, strict=True)
-    return np.array([attenuate_force(CONFIDENCE, *row) for row in rows])
 
 
 def draw(press: Press) -> Figure:

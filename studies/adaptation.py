@@ -24,8 +24,9 @@ from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.law.sheath import Section, Sheath
 from estimator.online import online
-from estimator.online.online import TendonModel
+from estimator.online.online import Estimates, TendonModel
 from estimator.pair_adaptation import run_adapting_pair
+from estimator.structs import to_struct
 from slave.rigs.simulated import JointConfig, TendonPlantConfig, build_joint
 from slave.sheath_section import SectionConfig
 from slave.simulation.environment import TissueConfig
@@ -40,12 +41,15 @@ from slave.simulation.joint import (
 from slave.simulation.sensing_loop import SensingLoopConfig, build_loop, compute_loop_target
 from slave.simulation.tendon import NEUTRAL, Knobs, SheathConfig, divide_sheath
 from studies.testbed.command import parse_options
+from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate_force
 
 RATE = 500.0  # [Hz]
 CHANGE_S, SETTLE_S, AFTER_S = 25.0, 30.0, 15.0  # [s]
 LOOP_FRICTION = 1 / 3  # coefficient of a sensing loop over that of the tendon
+EARLY_S = 8.0  # [s]
 NOISE_N, NOISE_M = 0.02, 1e-6
 DRIFT_S = 1200.0  # [s] period of drifts
+CONFIDENCE = to_struct(ConfidenceConfig())
 TENSION_MAX, KEPT = 16.0, 0.6  # [N] at which a pull stops; of the tendon that is drawn out
 
 
@@ -265,6 +269,12 @@ def simulate_use(seed: int, pair: bool, given: Conditions = ORDINARY) -> Use:
     )
 
 
+def render(run: Estimates) -> Array:
+    """Return the force [N] that reaches the hand, before it is scaled."""
+    rows = zip(run.distal_tension, run.low, run.high, strict=True)
+    return np.array([attenuate_force(CONFIDENCE, *row) for row in rows])
+
+
 class Scores(NamedTuple):
     """Figures of one tendon, with the fixed K and with adaptation."""
 
@@ -272,6 +282,7 @@ class Scores(NamedTuple):
     error: Array  # relative to full scale, percentiles 50, 90, 99, shape (2, 3)
     within: Array  # share of time within 5 % of full scale, shape (2,)
     inside: Array  # share of all time inside the interval, shape (2,)
+    rendered: Array  # mean of the force in the hand over that of T_out, before the change and late
     K_error: Array  # relative, where scoring begins and at the end
     is_adapted: bool
     is_false: bool  # adapted before the change
@@ -286,6 +297,7 @@ def score_use(use: Use, settle: float = SETTLE_S) -> list[Scores]:
     else:
         loop = None if use.loop is None else use.loop[:, 0]
         runs = (run_adapting(use.models[0], use.time, T[0], q[0], loop),)
+    early = (use.time > EARLY_S) & (use.time < CHANGE_S)
     late, out = use.time > use.change_end + settle, []
     for k, (model, run) in enumerate(zip(use.models, runs, strict=True)):
         tip, K = use.tip[:, k], use.K_after[k]
@@ -296,6 +308,7 @@ def score_use(use: Use, settle: float = SETTLE_S) -> list[Scores]:
             np.array([np.percentile(e, [50, 90, 99]) for e in errors]),
             np.array([np.mean(e < 0.05) for e in errors]),
             np.array([np.mean((r.low <= tip + 1e-6) & (tip <= r.high)) for r in both]),
+            np.array([[render(r)[w].sum() / tip[w].sum() for w in (early, late)] for r in both]),
             run.K[late][[0, -1]] / K - 1.0,
             run.adapted_from >= 0,
             run.adapted_from >= 0 and bool(use.time[run.adapted_from] < CHANGE_S),
@@ -366,7 +379,9 @@ def report(scores: list[Scores], is_changed: bool) -> None:
         print(
             f"{name}: error of T_out, mean of percentiles 50, 90, 99: {error.round(1)} %; within "
             f"5 %: {within.mean():.1%} of time, 90 % of time in {np.mean(within >= 0.9):.0%} of "
-            f"tendons; inside the interval {np.mean(inside):.2%}, least {np.min(inside):.2%}"
+            f"tendons; inside the interval {np.mean(inside):.2%}, least {np.min(inside):.2%}; "
+            "in the hand, before the change and late: "
+            f"{100.0 * np.mean([s.rendered[i] for s in scores], axis=0).round(2)} % of T_out"
         )
 
 
