@@ -373,10 +373,9 @@ def _add_evidence(
     accuracy = ACCURACY**2 + (ZERO_ERROR / least_tension) ** 2
     variance = constants.variance + accuracy * change**2
     costs = np.empty(HYPOTHESES)
+    elongations = constants.weight[:] @ (state.tension[:] - state.begin_tension[:])
     for h in range(HYPOTHESES):
-        z = travel
-        for n in range(DEPTHS):
-            z -= constants.weight[h, n] * (state.tension[n] - state.begin_tension[n])
+        z = travel - elongations[h]
         costs[h] = z * z / variance
         before = _interpolate(constants, state.begin_tension[:], constants.K[h])
         after = _interpolate(constants, state.tension[:], constants.K[h])
@@ -427,15 +426,13 @@ def _summarise(constants: AdaptationConstants, state: Adaptation) -> None:
     posterior /= posterior.sum()
     # what the prior took is spread over all hypotheses, and would draw a plain mean to its own
     share = posterior**2 / (posterior**2).sum()
-    state.mean_weight[:] = state.mean_factor[:] = 0.0
+    state.mean_weight[:], state.mean_factor[:] = share @ constants.weight[:], 0.0
     for h in range(HYPOTHESES):
         p = share[h]
         state.log_posterior[h] = math.log(max(posterior[h], 1e-30))
         for third in range(3):
             is_scaled = h < FACTOR_COUNT or h // FACTOR_COUNT == third + 1
             state.mean_factor[third] += p * (FACTORS[h % FACTOR_COUNT] if is_scaled else 1.0)
-        for n in range(DEPTHS):
-            state.mean_weight[n] += p * constants.weight[h, n]
     order: Any = np.argsort(constants.K[:])
     mass = np.cumsum(posterior[order])
     state.K = float((share * constants.K[:]).sum())
