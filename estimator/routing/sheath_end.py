@@ -31,7 +31,7 @@ from estimator.law.play_profile import (
 )
 from estimator.law.tables import Tables, compute_arc_length, compute_length_density
 from estimator.law.transmission import read_profile
-from estimator.online.estimator_state import BOUND_SIGMAS, PreparedTendon
+from estimator.online.estimator_state import PreparedTendon
 from estimator.small_arrays import copy_values
 from estimator.structs import F64, Field, Flag, Struct
 
@@ -138,16 +138,18 @@ def _update_travel(
     """Take the travel of both tips by either tendon [m]; return how far they moved [m].
 
     An error of stiffness must not move the tips where the share changes, so each tendon follows the
-    other, as far as it decides less. The dead band is as wide as what that of T_in leaves open of
-    the elongation: tips that stick do not move while the motors sway.
+    other, as far as it decides less, and at once if it decides nothing: a slack one measures no
+    tip. The average lags behind tips that move by no more than the noise. The dead band is as wide
+    as what that of T_in leaves open of the elongation: tips that stick do not move while the motors
+    sway.
     """
     a, b = pair.end[0], pair.end[1]
     fused = share * travel_a + (1.0 - share) * travel_b
     leak, weight = dt / (dt + OFFSET_TIME_S), dt / (dt + TRAVEL_TIME_S)
-    a.offset += leak * (1.0 - share) * (travel_a - fused)
-    b.offset += leak * share * (travel_b - fused)
+    a.offset += (leak * (1.0 - share) if share > 0.0 else 1.0) * (travel_a - fused)
+    b.offset += (leak * share if share < 1.0 else 1.0) * (travel_b - fused)
     mean = pair.mean_travel + weight * (fused - pair.mean_travel)
-    pair.mean_travel = noise_treatment.update_play(mean, fused, BOUND_SIGMAS * noise)
+    pair.mean_travel = noise_treatment.update_play(mean, fused, noise)
     before = pair.travel
     pair.travel = noise_treatment.update_play(before, pair.mean_travel, NOISE_SIGMAS * noise)
     return pair.travel - before

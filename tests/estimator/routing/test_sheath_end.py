@@ -24,6 +24,7 @@ from studies.brute.chain import Chain, Force, Position
 
 SHEATH = Sheath((Section(0.3), Section(0.5, 0.25), Section(0.1)), 0.12, 9000.0)
 TABLES, PRETENSION, DT = build_tables(SHEATH), 2.0, 1e-3
+ENCODER_NOISE = 1e-6  # [m], of a count
 
 
 def play_pair(stiffness_error):
@@ -85,6 +86,41 @@ def test_tips_that_stick_keep_their_tension_while_the_motors_sway():
         ends.append(estimate_sheath_ends(pair, model, model, *readings, 0.5, 0.0, DT))
         assert [chain.T_out for chain in chains] == pytest.approx([PRETENSION] * 2, abs=1e-6)
     assert np.ptp(ends[100:], axis=0).max() < 0.05  # [N]
+
+
+@pytest.mark.parametrize(("is_slack", "error_max"), [(False, 1.2e-5), (True, 8e-5)])
+def test_the_travel_of_tips_that_move_is_known_to_a_few_micrometres(is_slack, error_max):
+    """Also once a tendon is taut that was slack, and whose motor turned by itself meanwhile."""
+    noise, random = 0.02, np.random.default_rng(3)
+    sections = [(section.length, section.radius) for section in SHEATH.sections]
+    chains = [Chain(sections, SHEATH.friction, 9000.0, beads=30, tension=PRETENSION) for _ in "ab"]
+    model = prepare(
+        TendonModel(
+            SHEATH, initial=PRETENSION, tension_noise=noise, displacement_noise=ENCODER_NOISE
+        )
+    )
+    pair = view_struct(SheathPair.array())
+    for end in pair.end:
+        start_sheath_end(end, build_pretensioned_profile(TABLES, PRETENSION), PRETENSION)
+    errors = []
+    for i in range(900):  # tips of up to 5 mm/s
+        x, slack = 1e-3 * math.sin(0.005 * i), 0.0
+        pulls = [9.0 + 3.0 * math.sin(0.004 * i), 1.5]
+        if is_slack:
+            pulls[1] = 1.5 * max(math.cos(0.01 * i), 0.0)
+            slack = 2e-3 * max(-math.cos(0.01 * i), 0.0)
+        for chain, T, tip in zip(chains, pulls, (x, -x), strict=True):
+            chain.move(Force(T), Position(tip))
+        readings = [
+            (max(T + noise * random.standard_normal(), 0.0), 1e-6 * round(1e6 * chain.travel[0]))
+            for T, chain in zip(pulls, chains, strict=True)
+        ]
+        readings[1] = (readings[1][0], readings[1][1] - slack)
+        share = 1.0 if pulls[1] < 0.05 else 0.02
+        estimate_sheath_ends(pair, model, model, *readings, share, x, DT)
+        errors.append(pair.travel - x)
+    change = np.array(errors[100:]) - np.mean(errors[100:])
+    assert np.quantile(np.abs(change), 0.9) < error_max  # [m]
 
 
 @given(st.floats(0.5, 20.0), st.lists(st.floats(-2e-4, 2e-4), min_size=1, max_size=20))
