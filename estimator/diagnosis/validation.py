@@ -60,7 +60,7 @@ from estimator.measured_data import MeasuredData, Samples
 from estimator.online.estimator import Estimator
 from estimator.online.extended_model import (
     FUNCTIONS_AT_END,
-    apply_friction_at_end,
+    apply_lasting_friction,
     build_extended_model,
     is_record_specific,
 )
@@ -230,7 +230,7 @@ def _freeze_friction(end: float, effect: Effect) -> Effect:
 
     def physics(base_physics: Physics, values: Values, context: EffectContext) -> Physics:
         if effect.function is not None:
-            return apply_friction_at_end(base_physics, values, effect)
+            return apply_lasting_friction(base_physics, values, effect)
         unit_physics = base_physics._replace(friction=np.ones(2))
         end_physics = effect.physics(
             unit_physics, values, context._replace(time=np.array([0.0, end]))
@@ -451,7 +451,8 @@ def compute_live_error(folds: Sequence[Fold], duration: float) -> LiveError | No
     """Return how far the force is off in samples that were not fitted, live, with both models.
 
     None where the loop runs no such model, nothing tells the force, or the model is not of the
-    whole record: friction that is taken as it ended is not judged by how it began.
+    whole record: friction that is taken as it ended is not judged by how it began, nor by the end,
+    in which it changes.
     """
     dataset = folds[0].dataset
     first = dataset.records[0]

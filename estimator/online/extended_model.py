@@ -23,7 +23,7 @@ from estimator.effects.effect import (
     EffectContext,
     Values,
 )
-from estimator.effects.functions import COEFFICIENTS, evaluate_function
+from estimator.effects.functions import COEFFICIENTS, FRICTION_MIN, evaluate_function
 from estimator.law.sheath import Section, Sheath
 from estimator.lumped.lumped_model import Physics
 from estimator.lumped.nodes import EDGES, build_even_weights
@@ -163,12 +163,12 @@ def build_extended_model(
             if is_tendon and by in _FUNCTION_VARIABLES:
                 function = _build_function(effect, values, _FUNCTION_VARIABLES[by])
                 use = EffectUse.DYNAMICS
-            elif effect.name in FUNCTIONS_AT_END:
-                current = apply_friction_at_end(current, values, effect)
-                use = EffectUse.LAW
             else:
+                if effect.name.startswith("friction"):
+                    current = apply_lasting_friction(current, values, effect)
                 is_at_tip = effect.name in _TIP_FUNCTIONS
                 use = EffectUse.TIP_SENSOR if is_at_tip else EffectUse.OMITTED
+                use = EffectUse.LAW if effect.name in FUNCTIONS_AT_END else use
             uses.append((effect, values, use))
             continue
         extended = effect.physics(current, values, context)
@@ -222,10 +222,16 @@ def _build_function(
     return constants
 
 
-def apply_friction_at_end(physics: Physics, values: Values, effect: Effect) -> Physics:
-    """Return a tendon whose friction is as a function of `FUNCTIONS_AT_END` leaves it."""
-    share = 1.0 + evaluate_function(effect, values, np.array(values[1:2]))
-    return physics._replace(friction=physics.friction * share)
+def apply_lasting_friction(physics: Physics, values: Values, effect: Effect) -> Physics:
+    """Return a tendon whose friction a function scales that no loop follows.
+
+    It is as a function of `FUNCTIONS_AT_END` leaves it, and with the mean of any other.
+    """
+    is_periodic = effect.function is not None and effect.function.is_periodic
+    begin, end = (0.0, values[0]) if is_periodic else values[:2]
+    begin = end if effect.name in FUNCTIONS_AT_END else begin
+    f = evaluate_function(effect, values, np.linspace(begin, end, INSTANT_COUNT))
+    return physics._replace(friction=physics.friction * (1.0 + f).clip(FRICTION_MIN).mean())
 
 
 def is_record_specific(effect: Effect) -> bool:
@@ -241,7 +247,8 @@ def is_record_specific(effect: Effect) -> bool:
 def explain_omission(effect: Effect) -> str:
     """Return why an effect does nothing in the loop, in words that can follow its name."""
     if effect.function is not None:
-        return f"follows {effect.function.variable}, for which the loop has no correction"
+        rest = "; K has its mean" if effect.name.startswith("friction") else ""
+        return f"follows {effect.function.variable}, for which the loop has no correction{rest}"
     return OMISSION_REASONS.get(effect.name, _REASON_NEUTRAL)
 
 

@@ -119,6 +119,17 @@ def test_what_the_loop_cannot_follow_is_left_out_with_the_reason():
     assert "follows time" in explain_omission(find_function("tip_load_by_time"))
 
 
+def test_friction_that_the_loop_cannot_follow_leaves_its_mean():
+    warmth = np.linspace(20.0, 30.0, 50)
+    warm = fitted("friction_by_temperature", warmth, 0.03 * (warmth - 20.0))
+    cycle = (find_function("friction_by_phase"), (4.0, *np.tile([0.3, -0.1], 6).tolist()))
+    for pair, mean in ((warm, 0.15), (cycle, 0.1)):
+        found = build_extended_model((0.8, 1e-4, 0.0), [pair], 10.0, 1.0)
+        assert found.uses[0][2] is EffectUse.OMITTED
+        np.testing.assert_allclose(found.sheath.K, 0.8 * (1.0 + mean), rtol=1e-3)
+        assert "K has its mean" in explain_omission(pair[0])
+
+
 @pytest.mark.parametrize("name", ["friction_by_time", "friction_by_path"])
 def test_validation_and_loop_take_friction_as_a_record_ended(name):
     x = np.linspace(0.0, 10.0, 50)
