@@ -66,7 +66,7 @@ PERIODS_MIN, PERIODS_MAX = 3, 60  # of a cycle, in a record
 FREQUENCY_STEP = 0.1  # periods more in a record
 POWER_MIN = 1e-9  # squares of the residual: below it, nothing changes
 BUMPS = 240  # in a record, of which a response to any function of time is made
-PERIODS_TRIED = 16, 4  # that are simulated, and that are followed
+PERIODS_TRIED = 16, 8  # that are simulated, and that are followed
 
 
 class _LinearStep(NamedTuple):

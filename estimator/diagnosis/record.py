@@ -464,10 +464,15 @@ def shorten_blocks(record: Record) -> Record:
 
 
 def hold_out_aperiodically(record: Record) -> Record:
-    """Return a record whose fitted half repeats nothing; of every other block, a cycle may."""
+    """Return a record whose fitted half repeats nothing; of every other block, a cycle may.
+
+    Blocks are about as long as the knots of a long cycle are apart: of three cycles, longer ones
+    leave phases that one of the halves never sees.
+    """
     if record.train.all():
         return record
-    return replace(record, train=select_aperiodic_half(record.block))
+    block = assign_blocks(record.time, SETTINGS.cycle_block)
+    return replace(record, train=select_aperiodic_half(block), block=block)
 
 
 def select_subsample(record: Record, samples_max: int) -> Mask:

@@ -22,6 +22,7 @@ class Settings:
     blocks_min: int = 12  # of a record; in a short one they are shorter
     imbalance_max: float = 0.5  # of what moves both halves, up to which every other block is fitted
     rest_speed_ratio: float = 0.02  # of a high speed, below which the drive rests
+    cycle_block: float = 0.25  # of a block's length, where a cycle is looked for
     short_block: float = 0.02  # of a block's length, where the error fills but a block or two
     noise_min: float = 2e-4  # of a channel's range; nothing is simulated more precisely
     reversal_share: float = 1e-3  # of the drive's range that the motor goes back by, at least

@@ -98,9 +98,16 @@ def test_a_curve_is_as_smooth_as_held_out_samples_favour(variable):
     assert residual_fraction < 0.1
 
 
-def test_a_cycle_is_found_that_lasts_as_long_as_two_blocks():
+@pytest.mark.parametrize(
+    ("seed", "bench"),
+    [
+        (401, "spring"),  # as long as two blocks
+        pytest.param(701, "spring", marks=pytest.mark.slow),  # three of it, seen by halves
+    ],
+)
+def test_a_cycle_is_found(seed, bench):
     name = "outside:friction_over_cycle"
-    made, found, residual_fraction = searched(name, 401, "spring", "friction_by_phase", 5e-7)
+    made, found, residual_fraction = searched(name, seed, bench, "friction_by_phase", 5e-7)
     assert [step.effect.name for step in found.steps] == ["friction_by_phase"]
     assert residual_fraction < 0.1
     ((_, (period, *_)),) = found.steps[-1].fit.model.effects
