@@ -96,11 +96,12 @@ def compute_log_likelihood_ratio(a: dict[str, ChannelErrors], b: dict[str, Chann
     """Return the log-likelihood ratio of held-out data under `a` to that under `b`.
 
     Each channel's own mean square stands for its variance, so that neither its unit nor an error of
-    its estimated noise matters.
+    its estimated noise matters. As many samples are independent as on the geometric mean of both
+    models: where one leaves noise of another's slow error, that itself is evidence.
     """
     total = 0.0
     for channel, errors in a.items():
-        share = min(errors.independent_share, b[channel].independent_share)
+        share = math.sqrt(errors.independent_share * b[channel].independent_share)
         total += (
             0.5
             * share

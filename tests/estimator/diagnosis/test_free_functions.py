@@ -103,6 +103,7 @@ def test_a_curve_is_as_smooth_as_held_out_samples_favour(variable):
     [
         (401, "spring"),  # as long as two blocks
         pytest.param(701, "spring", marks=pytest.mark.slow),  # three of it, seen by halves
+        (702, "blocked"),  # without it errors last long, and few samples count
     ],
 )
 def test_a_cycle_is_found(seed, bench):
