@@ -52,7 +52,7 @@ bench: .venv/dev.done  ## speed and noise figures, each beside a baseline of the
 		echo "== $$name"; $(BIN)/python -m studies.$$name || exit 1; done
 
 bench-diagnosis: .venv/dev.done  ## hide effects, diagnose, count what is found (hours); ARGS as in --help
-	@$(BIN)/python -m studies.hidden.campaign $(ARGS)
+	@$(BIN)/python -m studies.hidden_effects.campaign $(ARGS)
 
 pictures: .venv/dev.done  ## the pictures of the live view in docs/images, from real runs (needs Chromium)
 	@$(BIN)/python -m docs.pictures

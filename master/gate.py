@@ -54,7 +54,7 @@ class GateFlags(IntFlag):
 
     PASSED = 0
     NOT_ENGAGED = 1  # zero
-    STALE = 2  # zero
+    STALE_STATE = 2  # zero
     NOT_FINITE = 4  # zero
     AXIS_LIMIT = 8  # clamped
     TOTAL_LIMIT = 16  # shortened, same direction
@@ -64,7 +64,7 @@ class GateFlags(IntFlag):
 # for compiled code, which does not support flags
 PASSED = int(GateFlags.PASSED)
 NOT_ENGAGED = int(GateFlags.NOT_ENGAGED)
-STALE = int(GateFlags.STALE)
+STALE_STATE = int(GateFlags.STALE_STATE)
 NOT_FINITE = int(GateFlags.NOT_FINITE)
 AXIS_LIMIT = int(GateFlags.AXIS_LIMIT)
 TOTAL_LIMIT = int(GateFlags.TOTAL_LIMIT)
@@ -113,7 +113,7 @@ def step(
     if not may_render:
         refusal |= NOT_ENGAGED
     if not fresh:
-        refusal |= STALE
+        refusal |= STALE_STATE
     if not is_all_finite(requested, axes):
         refusal |= NOT_FINITE
     verdict = refusal

@@ -16,10 +16,10 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.structs import I64, Flag, Struct, StructArray, view_struct
-from master import coupling_adapter, feedback, gate, hand_map, operator, workspace
+from master import axis_map, coupling_adapter, feedback, gate, operator, workspace
+from master.axis_map import VelocityMap
 from master.coupling_adapter import RenderMemory
 from master.hand_input import Axes, HandInput, is_all_finite
-from master.hand_map import VelocityMap
 from master.operator import OperatorMemory
 from master.settings_record import MasterSettings
 from master.workspace import Presence, WorkspaceLimits
@@ -110,7 +110,7 @@ def compute_command(
     hands : Records
         `HandInput`, shape (1,).
     mapped_hands : Records
-        `HandInput`, shape (1,): the hand as one with an axis for each joint (`master.hand_map`);
+        `HandInput`, shape (1,): the hand as one with an axis for each joint (`master.axis_map`);
         `hands` itself, unless its motion is mapped.
     states : Records
         `SlaveState`, the newest, shape (1,); ignored unless `tick_input.has_state`.
@@ -261,7 +261,7 @@ def _compute_coupling_forces(
         forces.joint,
     )
     if velocity_map.is_active:
-        hand_map.limit_joint_force(
+        axis_map.limit_joint_force(
             settings.force,
             settings.gate.total_max,
             velocity_map,
@@ -271,7 +271,7 @@ def _compute_coupling_forces(
             memory.joints,
             tick.given.dt,
         )
-    hand_map.compute_hand_force(
+    axis_map.compute_hand_force(
         velocity_map, forces.joint, memory.axes, memory.joints, forces.coupling
     )
     if is_rendering:
@@ -344,7 +344,7 @@ def _store_forces(
     for k in range(MAX_JOINTS):
         memory.force[k], memory.local_force[k] = gated[k], forces.local[k]
         unshared[k] = forces.local[k] + (gated[k] - forces.local[k]) / settings.force_share[k]
-    hand_map.store_joint_force(
+    axis_map.store_joint_force(
         velocity_map,
         unshared,
         forces.local,

@@ -21,6 +21,7 @@ import numpy as np
 
 from estimator.structs import StructArray, view_struct
 from master import live_settings, loop
+from master.axis_map import AxisMapper, HandMapper, VelocityMap
 from master.config import MasterConfig
 from master.coupling_extension import HandEnd
 from master.device import Device, DeviceFault, DeviceLost, HandState
@@ -28,7 +29,6 @@ from master.devices import open_device
 from master.devices.virtual import compile_hand
 from master.gate import GateFlags
 from master.hand_input import HandInput, fill_hand_input
-from master.hand_map import AxisMapper, HandMapper, VelocityMap
 from master.mapping_config import AxisMapConfig
 from master.settings_record import SettingsRecord
 from teleop.config.arm import ArmConfig

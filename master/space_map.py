@@ -49,8 +49,8 @@ from estimator.kinematics.inverse import (
 from estimator.kinematics.rotations import multiply, to_quaternion
 from estimator.kinematics.virtual_fixtures import Fixtures, build_fixtures, write_fixture_torque
 from estimator.structs import F64, I64, Field, Struct, StructArray, view_struct
+from master.axis_map import VelocityMap, pass_dead_band
 from master.hand_input import Axes, HandInput
-from master.hand_map import VelocityMap, pass_dead_band
 from master.loop import MasterMemory, init_master
 from master.mapping_config import HAND_AXES, SpaceHandConfig, SpaceMapConfig
 from teleop.messages.messages import MAX_JOINTS

@@ -26,7 +26,7 @@ from estimator.online.online import TendonModel
 from estimator.pair_adaptation import PairAdaptation, observe_pair
 from estimator.structs import StructArray
 from slave.calibration.monitor import TendonMonitor
-from slave.tendons import EstimatedTendons, RigLayout
+from slave.rig_layout import EstimatedTendons, RigLayout
 
 UNDECIDED_S = 20.0  # [s] without evidence, after which the monitor decides: see `mute_monitors`
 BOUND_SHARE = 0.03  # of K: so close to its bounds, it may be beyond them

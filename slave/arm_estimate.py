@@ -20,8 +20,8 @@ from estimator.routing.sheath_end import SheathPair, estimate_sheath_ends, start
 from estimator.routing.tensions import add_torques, advance, open_tensions
 from estimator.small_arrays import copy_values
 from estimator.structs import StructArray
-from slave.control.joint import JointEstimates, compute_weight
-from slave.tendons import EstimatedTendons, RigLayout, TendonGroup
+from slave.control.joint_estimate import JointEstimates, compute_weight
+from slave.rig_layout import EstimatedTendons, RigLayout, TendonGroup
 from teleop.config.arm import (
     ArmConfig,
     assemble_bend_partners,

@@ -7,9 +7,9 @@ from typing import Literal
 
 from slave import model_files
 from slave.adaptation import AdaptationConfig
-from slave.calibration import file
+from slave.calibration import calibration_file
+from slave.calibration.calibration_file import JointTendons
 from slave.calibration.config import InitialiseConfig
-from slave.calibration.file import JointTendons
 from slave.calibration.monitor import MonitorConfig
 from slave.calibration.probing import ProbingConfig
 from slave.control import ControlConfig
@@ -18,7 +18,7 @@ from slave.fault_detection import FaultDetectionConfig
 from slave.gate import GateConfig
 from slave.rigs import RigConfig
 from slave.rigs.hardware import HardwareRigConfig
-from slave.rigs.replayed import ReplayedRigConfig
+from slave.rigs.replayed_data import ReplayedRigConfig
 from slave.rigs.simulated import SimulatedRigConfig, TendonPlantConfig
 from slave.tendon_config import TendonConfig
 from teleop.config.arm import ArmConfig
@@ -135,7 +135,7 @@ def load_tendon_configs(
 def _load_configured_tendons(config: SlaveConfig, count: int) -> tuple[TendonConfig, ...]:
     tendons, place, remedy = config.tendons, "slave.tendons", "describe each, or one for all"
     if isinstance(config.calibration, Path):
-        calibration = file.load(config.calibration)
+        calibration = calibration_file.load(config.calibration)
         of = f"a calibration of the rig {calibration.rig!r}" if calibration.rig else "a calibration"
         tendons, place = calibration.tendons, f"{config.calibration}: {of}"
         remedy = "give the calibration of this rig, as `teleop calibrate` writes it"
@@ -159,7 +159,9 @@ def load_arms(config: SlaveConfig, arms: tuple[ArmConfig, ...]) -> tuple[ArmConf
     """Return the arms, with the friction at passed joints of the calibration, if it has any."""
     if not isinstance(config.calibration, Path):
         return arms
-    return file.apply_guide_friction(arms, file.load(config.calibration).guides)
+    return calibration_file.apply_guide_friction(
+        arms, calibration_file.load(config.calibration).guides
+    )
 
 
 UNCALIBRATED = (
@@ -169,7 +171,7 @@ UNCALIBRATED = (
 
 
 def find_not_ready_reason(
-    config: SlaveConfig, rig: file.RigDescription, modelled: bool = False
+    config: SlaveConfig, rig: calibration_file.RigDescription, modelled: bool = False
 ) -> str:
     """Return why this rig must not be used with this config's calibration; empty if it may be.
 
@@ -178,9 +180,9 @@ def find_not_ready_reason(
     """
     if not isinstance(config.calibration, Path):
         return "" if config.tendons or config.calibration or modelled else UNCALIBRATED
-    calibration = file.load(config.calibration)
+    calibration = calibration_file.load(config.calibration)
     anonymous = isinstance(config.rig, ReplayedRigConfig) and not config.rig.name
-    misfit = file.find_misfit(calibration, rig, by_name=not anonymous)
+    misfit = calibration_file.find_misfit(calibration, rig, by_name=not anonymous)
     if misfit is None:
         return ""
     return f"{config.calibration.name} does not fit: {misfit}; run `teleop calibrate` on this rig"
@@ -190,7 +192,7 @@ def has_model_file(config: SlaveConfig) -> bool:
     """Return whether a tendon uses a model file."""
     tendons = config.tendons
     if isinstance(config.calibration, Path):
-        tendons = file.load(config.calibration).tendons
+        tendons = calibration_file.load(config.calibration).tendons
     return any(tendon.model_file is not None for tendon in tendons)
 
 
@@ -211,7 +213,7 @@ def _find_model_warnings(config: SlaveConfig, coupling: CouplingConfig) -> list[
         return ["WARNING: slave.tendons: no tension_noise: a stuck load cell may not be noticed"]
     if not isinstance(config.calibration, Path):
         return []
-    calibration = file.load(config.calibration)
+    calibration = calibration_file.load(config.calibration)
     if calibration.accepted:
         return []
     return [f"WARNING: {config.calibration.name} is not accepted: {calibration.remark}"]
@@ -223,7 +225,7 @@ def _find_loop_warnings(config: SlaveConfig) -> list[str]:
         return []
     models = config.tendons
     if isinstance(config.calibration, Path):
-        models = file.load(config.calibration).tendons
+        models = calibration_file.load(config.calibration).tendons
     loops = [bool(tendon.loop) for joint in config.rig.joints for tendon in joint.tendons]
     if len(models) == 1:
         models *= len(loops)

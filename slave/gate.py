@@ -18,8 +18,8 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.structs import F64, Struct, StructArray
-from slave.control.joint import JointEstimates
-from slave.tendons import RigLayout
+from slave.control.joint_estimate import JointEstimates
+from slave.rig_layout import RigLayout
 from teleop.config.ranges import MAY_BE_INFINITE, build_ranged_field, check_ranges
 from teleop.runtime.clock import STEP_MAX_S
 
@@ -65,7 +65,7 @@ class GateFlags(IntFlag):
     TRAVEL = 4  # clamped to the travel limits
     SPEED = 8  # clamped to the speed limit
     TENSION = 16  # tension limit: no further pull
-    STALE = 32  # no recent tension: no further pull
+    STALE_TENSION = 32  # no recent tension: no further pull
     JOINT = 64  # joint at the end of its range, or unknown: no further pull
     FORCE = 128  # tip force at its limit, or unknown: no further pull
     YIELDED = 256  # held, but paid out because of its tension
@@ -78,7 +78,7 @@ NOT_FINITE = int(GateFlags.NOT_FINITE)
 TRAVEL = int(GateFlags.TRAVEL)
 SPEED = int(GateFlags.SPEED)
 TENSION = int(GateFlags.TENSION)
-STALE = int(GateFlags.STALE)
+STALE_TENSION = int(GateFlags.STALE_TENSION)
 JOINT = int(GateFlags.JOINT)
 FORCE = int(GateFlags.FORCE)
 YIELDED = int(GateFlags.YIELDED)
@@ -202,7 +202,7 @@ def step(
             verdict |= TENSION
             bounded = previous
         if is_pull and is_stale:
-            verdict |= STALE
+            verdict |= STALE_TENSION
             bounded = previous
         refusal = (
             _find_refusal(config, reach[k], bounded - previous, force) if has_reach else PASSED

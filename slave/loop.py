@@ -26,7 +26,7 @@ from slave.arm_estimate import ArmEstimator, build_arm_estimator
 from slave.calibration import degraded_mode, monitor, probing
 from slave.calibration.monitor import Advice
 from slave.config import SlaveConfig
-from slave.control.joint import JointEstimates
+from slave.control.joint_estimate import JointEstimates
 from slave.loop_records import (
     NO_POSITION,
     NO_SAMPLE,
@@ -39,8 +39,8 @@ from slave.loop_records import (
     TickInput,
 )
 from slave.rig import RigSample
+from slave.rig_layout import EstimatedTendon, RigLayout, build_rig_layout
 from slave.samples import estimate, fill_sample
-from slave.tendons import EstimatedTendon, RigLayout, build_rig_layout
 from teleop import coupling
 from teleop.config.arm import ArmConfig
 from teleop.config.ranges import MOTION_MAX

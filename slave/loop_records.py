@@ -11,8 +11,8 @@ from slave.calibration import monitor
 from slave.calibration.degraded_mode import Degradation
 from slave.calibration.monitor import Advice
 from slave.calibration.probing import Probe, ProbeConstants, ProbingConfig
-from slave.control.joint import JointEstimate
-from slave.tendons import EstimatedTendon
+from slave.control.joint_estimate import JointEstimate
+from slave.rig_layout import EstimatedTendon
 from teleop import coupling
 from teleop.coupling import Side
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS

@@ -14,7 +14,7 @@ from estimator.array_types import Array
 from estimator.law.sheath import ASSUMED_COMPLIANCE
 from estimator.online.extended_model import EffectUse, explain_omission
 from estimator.spikes import SAMPLES_MIN
-from slave.calibration.file import JointTendons
+from slave.calibration.calibration_file import JointTendons
 from slave.tendon_config import TendonConfig
 from teleop.data import model_file
 from teleop.errors import UsageError

@@ -21,7 +21,7 @@ from typing import NamedTuple, cast
 from estimator.structs import view_struct
 from slave import live_settings, loop, model_files
 from slave.adaptation import describe_fixed
-from slave.calibration.file import apply_guide_friction
+from slave.calibration.calibration_file import apply_guide_friction
 from slave.calibration.initialisation import initialise
 from slave.config import (
     SlaveConfig,
@@ -38,7 +38,7 @@ from slave.loop import RigModel
 from slave.loop_records import EstimatedSample, SlaveMemory, TickInput
 from slave.rig import Rig, RigFault, RigFinished, RigSample, as_enabling_rig, get_emergency_stop
 from slave.rigs import open_rig
-from slave.rigs.replayed import ReplayedRig
+from slave.rigs.replayed_data import ReplayedRig
 from slave.rigs.simulated import SimulatedRigConfig, format_late_effects
 from slave.samples import estimate, fill_sample
 from slave.state_messages import fill_tendon_state

@@ -16,7 +16,7 @@ from slave.adaptation import TendonAdapter, adapt_tendons
 from slave.arm_estimate import ArmEstimator, estimate_arm_forces
 from slave.loop_records import EstimatedSample, SlaveMemory
 from slave.rig import RigSample
-from slave.tendons import RigLayout
+from slave.rig_layout import RigLayout
 from teleop.messages.messages import MAX_TENDONS
 
 

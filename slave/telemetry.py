@@ -11,7 +11,7 @@ from slave import state_messages
 from slave.adaptation import ShapeChange, ShapeWatch, compute_friction
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice
-from slave.calibration.run import ProcedureProgress
+from slave.calibration.procedure_run import ProcedureProgress
 from slave.loop import RigModel, SlaveRecords
 from slave.loop_records import NOT_CALIBRATED, NOT_READY_TEXT, SlaveMemory
 from slave.rig import Rig

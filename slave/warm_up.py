@@ -9,7 +9,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.structs import StructArray
 from slave import loop
-from slave.calibration import run as calibration_run
+from slave.calibration import procedure_run as calibration_run
 from slave.config import SlaveConfig
 from slave.force_error import Score
 from slave.loop_records import EstimatedSample, TickInput

@@ -26,9 +26,9 @@ from estimator.kinematics.forward import compute_jacobian, compute_tip_pose
 from estimator.kinematics.tip_wrench import compute_tip_wrench
 from estimator.structs import view_struct
 from slave import loop
-from slave.calibration.file import Calibration, apply_guide_friction
+from slave.calibration.calibration_file import Calibration, apply_guide_friction
 from slave.calibration.initialisation import initialise
-from slave.calibration.run import generate_fast_ticks
+from slave.calibration.procedure_run import generate_fast_ticks
 from slave.config import AS_BUILT, SlaveConfig, load_tendon_configs, to_tendon_config
 from slave.gate import GateConfig
 from slave.loop_records import SlaveMemory, TickInput

@@ -3,12 +3,12 @@
 python -m studies.calibration [--sheaths 60] [--seed 1] [--peak 20] [--loops 1]
 
 Each sheath, uniform or of 2 to 5 bends and straight stretches, K from 0.4 to 1.8, is a chain of
-springs and friction beads that knows no law (studies/brute). Its loop, pull to the peak (20 N),
-release to 0.2 N and pull again, as often as `loops` says, in 1, 3, 3, ... s with rests of 0.2 s, is
-read with 0.01 to 0.03 N of noise and encoder counts and calibrated; the paper's method is given the
-true EA and L. Then the same chain goes through pull 20 N, release 5 N, pull 20 N and nested partial
-reversals, and the law predicts T_out and elongation from the noise-free T_in: errors in percent of
-full scale, the largest of the motion. Takes a minute.
+springs and friction beads that knows no law (studies/brute_force). Its loop, pull to the peak (20
+N), release to 0.2 N and pull again, as often as `loops` says, in 1, 3, 3, ... s with rests of 0.2
+s, is read with 0.01 to 0.03 N of noise and encoder counts and calibrated; the paper's method is
+given the true EA and L. Then the same chain goes through pull 20 N, release 5 N, pull 20 N and
+nested partial reversals, and the law predicts T_out and elongation from the noise-free T_in: errors
+in percent of full scale, the largest of the motion. Takes a minute.
 """
 
 import itertools
@@ -21,7 +21,7 @@ from estimator.array_types import Array
 from estimator.calibration.calibration import Calibration, CalibrationError, calibrate
 from estimator.law.sheath import Section, Sheath
 from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
-from studies.brute.chain import Chain, Force, Position
+from studies.brute_force.chain import Chain, Force, Position
 from studies.testbed.command import parse_options
 
 LOW = 0.2  # [N]

@@ -16,7 +16,7 @@ from teleop.link import ReceivedMessage
 from teleop.messages.messages import Command, Hand, SlaveState, TendonState, pad_values
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS, Role
 from teleop.recording.reader import RecordedMessage, open_recording, read_columns, read_messages
-from teleop.recording.replay import SenderRewriter
+from teleop.recording.replay_to_link import SenderRewriter
 from teleop.recording.writer import RecordConfig, RecordingWriter
 
 SECONDS = 10

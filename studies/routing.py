@@ -3,8 +3,8 @@
     python -m studies.routing [--arms 20] [--seed 0]
 
 Each tendon of an arm is a chain of Coulomb beads through its sheath and over the guides of all
-joints that it passes (studies.brute.routed). Housing tension and joint angles move at random: apart
-and together, fast and slow, back and forth, and by so little that the tendon sticks.
+joints that it passes (studies.brute_force.routed). Housing tension and joint angles move at random:
+apart and together, fast and slow, back and forth, and by so little that the tendon sticks.
 
 Two figures of each arm. Tensions: the model of the passed joints alone, given the tension at the
 sheath's end. Torques: sheaths and passed joints together, from the tension at the housing with
@@ -19,7 +19,7 @@ import numpy as np
 from estimator.law.sheath import Section, Sheath
 from estimator.routing import tensions
 from estimator.routing.routing import Routing, RoutingError, prepare
-from studies.brute.routed import Bend, Pin, RoutedChain
+from studies.brute_force.routed import Bend, Pin, RoutedChain
 from studies.testbed.command import parse_options
 
 PRETENSION = 5.0  # [N] uniform, at the start

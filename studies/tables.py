@@ -19,8 +19,8 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from studies.testbed.command import parse_options
-from teleop.data.mapping import TableMapping, parse_column_options
-from teleop.data.table import read_runs
+from teleop.data.mapping_file import TableMapping, parse_column_options
+from teleop.data.measured_table import read_runs
 from teleop.errors import UsageError
 
 ROWS = 30  # of a run

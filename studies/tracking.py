@@ -24,9 +24,9 @@ from slave import control, fault_detection, gate
 from slave.control import ControlConfig, ControllerState, JointEstimate
 from slave.fault_detection import FaultDetectionConfig, FaultDetector, MotorChecks
 from slave.gate import GateConfig
+from slave.rig_layout import EstimatedTendon, RigLayout, build_rig_layout
 from slave.rigs.simulated import JointConfig
 from slave.sheath_section import SectionConfig
-from slave.tendons import EstimatedTendon, RigLayout, build_rig_layout
 from studies.testbed.command import measure_us, parse_options
 from studies.testbed.control_bench import (
     DT,

@@ -1,11 +1,11 @@
-from slave.rigs.bench import BenchRun, MotionScale, make_spring_bench, simulate
+from slave.rigs.virtual_bench import BenchRun, MotionScale, make_spring_bench, simulate
 from teleop.config.arm import load_arm
 from teleop.data.recording_table import DataTable, RecordedEvent, read_table
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.experiment.design import BayesianAdaptive, ConstantStimuli, Design, Staircase, Trial
 from teleop.experiment.psychometric import draw_psychometric, fit_psychometric
-from teleop.experiment.results import read_trials
 from teleop.experiment.run import ButtonObserver, Experiment, KeyObserver, run_experiment
+from teleop.experiment.trial_table import read_trials
 from teleop.launch.config import SessionConfig
 from teleop.launch.session import Session, load_config
 from teleop.remote.client import SessionClient, SessionEvent, TipState, join_session

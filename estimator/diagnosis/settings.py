@@ -1,7 +1,7 @@
 """All thresholds of the diagnosis in one place.
 
-Where no source is named, a value is a choice; studies/hidden measures how often the verdict on
-simulated benches is right with it. How hard the fits search (rounds, starts, steps) stands where
+Where no source is named, a value is a choice; studies/hidden_effects measures how often the verdict
+on simulated benches is right with it. How hard the fits search (rounds, starts, steps) stands where
 it is used.
 """
 

@@ -32,7 +32,7 @@ from teleop.ros.message_types import (
     decode,
 )
 from teleop.ros.node import RosNode
-from teleop.ros.outputs import build_topic_name
+from teleop.ros.output_topics import build_topic_name
 from teleop.runtime.process import StopCondition, die_with_parent, lower_priority
 
 _TYPES = {"servo_jp": JOINT_STATE, "servo_cv": TWIST_STAMPED, "servo_cp": POSE_STAMPED}

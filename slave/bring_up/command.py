@@ -27,14 +27,14 @@ from slave.bring_up.rig_check import (
     warm_up,
 )
 from slave.config import SlaveConfig
-from slave.drivers import configs
+from slave.drivers import driver_table
 from slave.drivers.driver import DriverFault
 from slave.drivers.ports import describe_interfaces, explain_missing
 from slave.gate import GateConfig
 from slave.rig import Rig, RigFault
 from slave.rigs import open_rig
 from slave.rigs.hardware import HardwareRig, HardwareRigConfig
-from slave.rigs.replayed import ReplayedRigConfig
+from slave.rigs.replayed_data import ReplayedRigConfig
 from teleop.config.loading import ConfigDocument, load
 from teleop.config.options import add_options
 from teleop.errors import TeleopError, UsageError
@@ -85,7 +85,7 @@ def main(args: argparse.Namespace) -> int:
         for bus in buses:
             is_scan, count = args.action == "scan", 0
             motors = rig.motor_ids if bus is rig.motors else ()
-            for line in configs.scan(bus) if is_scan else configs.reset(bus, motors):
+            for line in driver_table.scan(bus) if is_scan else driver_table.reset(bus, motors):
                 print(line, flush=True)
                 count += 1
             if is_scan and not count:

@@ -9,7 +9,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.structs import to_struct
 from slave import gate
-from slave.calibration.run import (
+from slave.calibration.procedure_run import (
     NO_READINGS_TEXT,
     SILENCE_MAX_S,
     WARM_UP_HZ,

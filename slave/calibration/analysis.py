@@ -18,11 +18,11 @@ from estimator.calibration.calibration import (
     combine_calibrations,
 )
 from estimator.calibration.drag import fit_friction_sum
+from slave.calibration.calibration_file import TendonCalibration
 from slave.calibration.config import InitialiseConfig, get_known_sheath
-from slave.calibration.file import TendonCalibration
+from slave.calibration.procedure_log import ProcedureData
+from slave.calibration.procedure_run import CalibrationRefused
 from slave.calibration.procedure_state import Phase
-from slave.calibration.record import ProcedureData
-from slave.calibration.run import CalibrationRefused
 from slave.calibration.tendon_identification import (
     PulledTendon,
     build_tendon_calibration,

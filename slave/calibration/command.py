@@ -24,11 +24,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from slave.calibration import file
-from slave.calibration.file import Calibration, TendonCalibration, ValueWithUncertainty
+from slave.calibration import calibration_file
+from slave.calibration.calibration_file import Calibration, TendonCalibration, ValueWithUncertainty
 from slave.calibration.initialisation import InitialiseResult, initialise
-from slave.calibration.record import ProcedureData
-from slave.calibration.run import (
+from slave.calibration.procedure_log import ProcedureData
+from slave.calibration.procedure_run import (
     CalibrationInterrupted,
     ProcedureProgress,
     generate_fast_ticks,
@@ -37,7 +37,7 @@ from slave.calibration.run import (
 from slave.config import SlaveConfig
 from slave.rig import Rig
 from slave.rigs import open_rig
-from slave.rigs.replayed import ReplayedRigConfig
+from slave.rigs.replayed_data import ReplayedRigConfig
 from slave.rigs.simulated import SimulatedRigConfig, remove_obstacles
 from teleop.config.loading import ConfigDocument
 from teleop.config.options import add_option, add_options
@@ -152,7 +152,7 @@ def main(args: argparse.Namespace) -> int:
             raise
         if sys.stderr.isatty():
             print(file=sys.stderr)
-    file.save(out, result.calibration)
+    calibration_file.save(out, result.calibration)
     if figure is not None:
         save_figure(figure(result.record, result.calibration), args.figure, dpi=150)
     print("\n".join(format_report(result, out, replaced)))
@@ -177,7 +177,7 @@ def load_replaced_calibration(out: Path, config: Path | None, force: bool) -> Ca
     if not out.is_file():
         return None
     try:
-        return file.load(out)
+        return calibration_file.load(out)
     except UsageError as error:
         if force:
             return None
@@ -196,7 +196,7 @@ def load_earlier_calibration(config: SlaveConfig, required: bool) -> Calibration
     if not isinstance(path, Path) or not (required or path.is_file()):
         return None
     try:
-        return file.load(path)
+        return calibration_file.load(path)
     except UsageError:
         if required:
             raise

@@ -20,8 +20,8 @@ from estimator.compiled import jit_compile
 from estimator.structs import F64, Field, Flag, Struct
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice, MonitorConfig, TendonMonitor
-from slave.control.joint import JointEstimates
-from slave.tendons import EstimatedTendons, RigLayout
+from slave.control.joint_estimate import JointEstimates
+from slave.rig_layout import EstimatedTendons, RigLayout
 from teleop.messages.messages import MAX_TENDONS
 
 RAMP_S = 0.5  # [s] in which the limits come and go, so that force and motion have no step

@@ -4,9 +4,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from slave.calibration.file import Calibration, TendonCalibration
+from slave.calibration.calibration_file import Calibration, TendonCalibration
+from slave.calibration.procedure_log import ProcedureData
 from slave.calibration.procedure_state import TENDON_NAMES, Phase
-from slave.calibration.record import ProcedureData
 
 PULLED_COLOUR, OTHER_COLOUR, LINE_COLOUR = "#b2182b", "#2166ac", "#444444"
 

@@ -19,9 +19,9 @@ from estimator.calibration.calibration import CalibrationError
 from estimator.calibration.drag import fit_friction_sum
 from estimator.fitting import COVERAGE_FACTOR, MeasuredValue
 from slave.arm_estimate import build_routing
-from slave.calibration.file import GuideFriction, ValueWithUncertainty
+from slave.calibration.calibration_file import GuideFriction, ValueWithUncertainty
+from slave.calibration.procedure_log import ProcedureData
 from slave.calibration.procedure_state import Phase
-from slave.calibration.record import ProcedureData
 from slave.calibration.tendon_identification import RELATIVE_ERROR_MIN, round_significant
 from teleop.config.arm import ArmConfig, assemble_tendon_rows
 

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from typing import NamedTuple
 
 from slave.calibration.analysis import JointResult, analyse_procedure
-from slave.calibration.file import Calibration, find_misfit
+from slave.calibration.calibration_file import Calibration, find_misfit
 from slave.calibration.guide_friction import (
     NO_GUIDES,
     GuideFit,
@@ -14,8 +14,8 @@ from slave.calibration.guide_friction import (
     build_guide_entries,
     identify_guide_friction,
 )
-from slave.calibration.record import ProcedureData
-from slave.calibration.run import ProcedureLimits, ProcedureProgress, run_procedure
+from slave.calibration.procedure_log import ProcedureData
+from slave.calibration.procedure_run import ProcedureLimits, ProcedureProgress, run_procedure
 from slave.config import SlaveConfig
 from slave.rig import Rig, RigSample
 from teleop.config.arm import ArmConfig, assemble_tendon_rows
@@ -51,8 +51,8 @@ def initialise(
 ) -> InitialiseResult:
     """Calibrate a rig; the joints end in mid-range, their tendons just taut.
 
-    `UsageError` if the config forbids it, `slave.calibration.run.CalibrationRefused` if the
-    procedure was aborted.
+    `UsageError` if the config forbids it, `slave.calibration.procedure_run.CalibrationRefused` if
+    the procedure was aborted.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def initialise(
     config : SlaveConfig
         Its `initialise` and `gate` are used.
     ticks, start_ns, together, stopped, progress
-        See `slave.calibration.run.run_procedure`.
+        See `slave.calibration.procedure_run.run_procedure`.
     quick : bool
         Whether to run the short procedure.
     joints : sequence of int

@@ -34,7 +34,7 @@ from estimator.online.online import TendonModel
 from estimator.online.tendon_estimate import TendonEstimate
 from estimator.small_arrays import compute_median, copy_values, interpolate
 from estimator.structs import F64, I64, Field, Flag, Struct, StructArray, view_struct
-from slave.tendons import EstimatedTendon, RigLayout
+from slave.rig_layout import EstimatedTendon, RigLayout
 from teleop.config.ranges import build_ranged_field, check_ranges
 
 MOBILISED_SHARE = 0.999  # of the length: the front has reached the tip

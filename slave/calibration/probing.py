@@ -23,8 +23,8 @@ from estimator.small_arrays import interpolate
 from estimator.structs import F64, I64, Field, Flag, Struct, StructArray, view_struct
 from slave.calibration import monitor
 from slave.calibration.monitor import FRICTION_FACTORS, Transition
-from slave.control.joint import TAUT_TENSION
-from slave.tendons import EstimatedTendons, RigLayout
+from slave.control.joint_estimate import TAUT_TENSION
+from slave.rig_layout import EstimatedTendons, RigLayout
 from teleop.config.ranges import RangedConfig, build_ranged_field
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 

@@ -125,7 +125,7 @@ def _explain_blocked_motor(memory: ProcedureState, verdict: GateFlags, k: int) -
     """Return which limit of the gate blocks a motor, and what to do."""
     if GateFlags.TENSION in verdict:
         return "the tension is at slave.gate.tension_max; lower slave.initialise.tension"
-    if GateFlags.STALE in verdict:
+    if GateFlags.STALE_TENSION in verdict:
         return "its tension is older than slave.gate.tension_age_max; check the load cell"
     limit = "displacement_min" if memory.moved[k] < 0.0 else "displacement_max"
     if memory.phase is not Phase.SEEK:

@@ -21,16 +21,16 @@ from estimator.law.sheath import Sheath
 from estimator.plausibility import find_implausible_parameter
 from estimator.sensing_loop import LoopState, measure_loop_friction
 from estimator.structs import view_struct
+from slave.calibration.calibration_file import TendonCalibration, ValueWithUncertainty
 from slave.calibration.config import KnownSheathConfig
-from slave.calibration.file import TendonCalibration, ValueWithUncertainty
+from slave.calibration.procedure_log import ProcedureData
+from slave.calibration.procedure_run import CalibrationRefused
 from slave.calibration.procedure_state import (
     TENDON_NAMES,
     Phase,
     StopContact,
     format_tendon_name,
 )
-from slave.calibration.record import ProcedureData
-from slave.calibration.run import CalibrationRefused
 from slave.sheath_section import SectionConfig
 from slave.tendon_config import TendonConfig
 

@@ -4,12 +4,12 @@
 docs/explanation/estimator.md explains both.
 """
 
-from slave.control.joint import (
+from slave.control.joint_estimate import (
     JointEstimate,
     compute_offsets,
     estimate_joints,
 )
-from slave.control.law import ControlConfig, ControllerState, step
+from slave.control.tendon_control import ControlConfig, ControllerState, step
 
 __all__ = [
     "ControlConfig",

@@ -8,8 +8,8 @@ import time
 from collections.abc import Iterator
 
 from slave.drivers import packets
-from slave.drivers.configs import DriverConfig
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
+from slave.drivers.driver_table import DriverConfig
 from teleop.config.loading import as_tree
 from teleop.runtime.child_process import start_module
 

@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from slave.drivers import packets
-from slave.drivers.configs import DriverConfig, open_driver
 from slave.drivers.driver import BusDriver, Channels, Counts, DriverFault, Reading
+from slave.drivers.driver_table import DriverConfig, open_driver
 from teleop.config.loading import ConfigDocument
 from teleop.errors import TeleopError
 from teleop.runtime.clock import SuspensionWatch, pause_garbage_collection

@@ -16,7 +16,7 @@ from slave.fault_detection.wound_length import (
     check_winding,
     compute_compliance,
 )
-from slave.tendons import EstimatedTendon, RigLayout, TendonGroup
+from slave.rig_layout import EstimatedTendon, RigLayout, TendonGroup
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from teleop.session.state_machine import Reason
 

@@ -13,7 +13,7 @@ from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.structs import F64, Field, Flag, Struct
 from slave.fault_detection.config import FaultDetectionConfig
-from slave.tendons import EstimatedTendon, RigLayout
+from slave.rig_layout import EstimatedTendon, RigLayout
 from teleop.messages.messages import MAX_TENDONS
 from teleop.session.state_machine import Reason
 

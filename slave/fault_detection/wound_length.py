@@ -24,7 +24,7 @@ from estimator.law.sheath import Sheath
 from estimator.structs import F64, Struct
 from slave.fault_detection.config import FaultDetectionConfig
 from slave.fault_detection.load_cell import LoadCell, TendonAverage
-from slave.tendons import TendonGroup
+from slave.rig_layout import TendonGroup
 from teleop.session.state_machine import Reason
 
 # --- bounds of the elongation of a tendon at a tension, for any earlier motion

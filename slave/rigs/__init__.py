@@ -6,7 +6,7 @@ from typing import Any
 from slave.rig import Rig, RigFault
 from slave.rigs.extension import CheckedRig, RigExtension
 from slave.rigs.hardware import HardwareRig, HardwareRigConfig
-from slave.rigs.replayed import ReplayedRig, ReplayedRigConfig
+from slave.rigs.replayed_data import ReplayedRig, ReplayedRigConfig
 from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
 from teleop.config.extensions import close_extension, format_opening_failure
 from teleop.errors import UsageError

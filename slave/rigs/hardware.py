@@ -11,9 +11,9 @@ from typing import Literal
 import numpy as np
 
 from estimator.array_types import Array
-from slave.drivers.configs import DriverConfig
 from slave.drivers.connection import DriverProcess
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
+from slave.drivers.driver_table import DriverConfig
 from slave.drivers.dynamixel.config import DynamixelConfig
 from slave.rig import RigFault, RigSample, number_joint_tendons
 from teleop.config.ranges import RangedConfig, build_ranged_field, check_ranges

@@ -21,7 +21,7 @@ from slave.simulation.arm import (
     init_arm,
 )
 from slave.simulation.effects import EffectConfig
-from slave.simulation.effects.ends import AntagonistTension
+from slave.simulation.effects.joint import AntagonistTension
 from slave.simulation.effects.schedule import JointSchedule, SampleSchedule, SensorSchedule
 from slave.simulation.environment import (
     EnvironmentConfig,

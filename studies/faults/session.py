@@ -76,7 +76,7 @@ class FaultSession(Processes):
         if name == "master":
             words += ["--set", f"link.slave={self.proxy}"]
         self.running[name] = process = subprocess.Popen(
-            [sys.executable, "-m", "studies.faults.puppet", name, *self.shared, *words],
+            [sys.executable, "-m", "studies.faults.faulty_process", name, *self.shared, *words],
             stdin=subprocess.PIPE,
             stdout=self._log(name),
             stderr=subprocess.STDOUT,

@@ -30,7 +30,7 @@ _LATE_CAN = (  # imported by the driver's process and that of the drives
     "can.interfaces.socketcan",
     "numpy.random",
     "slave.drivers.cia402.driver",
-    "slave.drivers.cia402.tools",
+    "slave.drivers.cia402.bring_up",
     "slave.drivers.worker",
     "encodings.utf_8_sig",
     "runpy",

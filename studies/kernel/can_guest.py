@@ -23,7 +23,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from slave.drivers import configs, connection, worker
+from slave.drivers import connection, driver_table, worker
 from slave.drivers.cia402 import driver  # noqa: F401 - so that forks have it
 from slave.drivers.cia402.config import BusConfig, Cia402Config
 from slave.drivers.connection import DriverProcess, start_process
@@ -109,7 +109,7 @@ class Fork:
     """The process of a driver, as `start_process` starts one, without the start of Python."""
 
     def __init__(
-        self, end: socket.socket, config: configs.DriverConfig, channels: Channels
+        self, end: socket.socket, config: driver_table.DriverConfig, channels: Channels
     ) -> None:
         number = end.fileno()
         self.pid = os.fork()
@@ -289,7 +289,7 @@ def fault(bench: Bench) -> Figures:
             raise
     else:
         raise WrongError("a drive with a fault was not refused")
-    lines = list(configs.reset(bench.config(), bench.numbers))
+    lines = list(driver_table.reset(bench.config(), bench.numbers))
     bench.engages_anew()
     return {"fault": said, "reset": lines[0]}
 

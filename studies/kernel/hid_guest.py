@@ -22,7 +22,7 @@ from master.devices.hid import connection, search
 from master.devices.hid.connection import POST_TIMEOUT_S, DeviceConnection
 from master.devices.hid.device import HidDevice
 from master.devices.hid.driver import Controls
-from master.devices.hid.drivers import DRIVERS
+from master.devices.hid.driver_table import DRIVERS
 from master.devices.hid.force_signs import ForceSign, ForceSigns, save
 from master.devices.hid.mapping import AxisConfig, HidConfig
 from master.devices.hid.node import Node

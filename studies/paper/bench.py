@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from slave.rig import Rig, RigSample
-from slave.rigs.bench import MotionSample, MotionState, Turns
 from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
+from slave.rigs.virtual_bench import MotionSample, MotionState, Turns
 from slave.sheath_section import SectionConfig
 from slave.simulation.environment import FreeConfig, LoadMotorConfig
 from slave.simulation.joint import BodyConfig

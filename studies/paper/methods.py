@@ -20,12 +20,12 @@ import numpy as np
 from estimator import noise_treatment
 from estimator.array_types import Array
 from estimator.online import online
-from slave.calibration import run as initialisation
+from slave.calibration import procedure_run as initialisation
 from slave.calibration.analysis import evaluate_tendons
+from slave.calibration.calibration_file import TendonCalibration
 from slave.calibration.config import InitialiseConfig, KnownSheathConfig
-from slave.calibration.file import TendonCalibration
+from slave.calibration.procedure_run import CalibrationRefused
 from slave.calibration.procedure_state import Phase
-from slave.calibration.run import CalibrationRefused
 from slave.calibration.tendon_identification import PulledTendon
 from slave.gate import GateConfig
 from slave.tendon_config import TendonConfig

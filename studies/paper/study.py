@@ -15,7 +15,7 @@ from estimator.law.transmission import (
     evaluate_tension,
     observe,
 )
-from slave.calibration.run import CalibrationRefused
+from slave.calibration.procedure_run import CalibrationRefused
 from slave.sheath_section import SectionConfig
 from slave.simulation.chain_step import compute_response, recover_state
 from slave.simulation.friction_nodes import interpolate_curve

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from slave.calibration import file
+from slave.calibration import calibration_file
 from slave.tendon_config import TendonConfig
 from studies.rigs import session
 from studies.rigs.bench import TRUE_K, Model, write_config
@@ -103,7 +103,7 @@ def calibrate_sheaths(session: Session, driver: str) -> str:
     began_s = time.monotonic()
     session.command("calibrate", "--quick", "--together", "--out", str(out))
     took_s = time.monotonic() - began_s
-    found = file.load(out).directions
+    found = calibration_file.load(out).directions
     worst = max(abs(one.K.value - TRUE_K) for one in found) / TRUE_K
     assert worst < K_ERROR_MAX, f"K is {worst:.1%} off the truth"
     return f"K within {worst:.1%} of the truth, {took_s:.0f} s"
@@ -168,7 +168,9 @@ def kill_slave(session: Session, also: list[str]) -> str:
 def kill_calibration(session: Session, driver: str) -> str:
     """Kill a calibration at several moments: the motors stop, and the earlier file stays."""
     out = session.config.parent / "calibration.yaml"
-    file.save(out, file.Calibration(tendons=(TendonConfig(effective_friction=TRUE_K),)))
+    calibration_file.save(
+        out, calibration_file.Calibration(tendons=(TendonConfig(effective_friction=TRUE_K),))
+    )
     earlier, times = out.read_bytes(), []
     for moment_s in CALIBRATING_S:
         process = session.start("calibrate", "--quick", "--together", "--out", str(out))

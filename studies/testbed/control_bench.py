@@ -15,13 +15,13 @@ from slave.control import ControlConfig, ControllerState, JointEstimate
 from slave.fault_detection import FaultDetectionConfig
 from slave.gate import GateConfig
 from slave.rig import RigSample
+from slave.rig_layout import EstimatedTendon, build_rig_layout
 from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
 from slave.sheath_section import SectionConfig
 from slave.simulation.environment import EnvironmentConfig, FreeConfig
 from slave.simulation.joint import BodyConfig
 from slave.simulation.sensors import LoadCellConfig
 from slave.simulation.tendon import SheathConfig
-from slave.tendons import EstimatedTendon, build_rig_layout
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from teleop.session.state_machine import Reason
 

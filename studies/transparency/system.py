@@ -12,10 +12,10 @@ from estimator.online.online import TendonModel
 from estimator.structs import view_struct
 from master import hand_input
 from master import loop as master_loop
+from master.axis_map import VelocityMap
 from master.config import MasterConfig
 from master.device import HandState
 from master.feedback import FeedbackConfig
-from master.hand_map import VelocityMap
 from master.operator import OperatorConfig
 from master.settings_record import build_master_settings
 from slave import loop as slave_loop

@@ -37,7 +37,7 @@ COMMANDS = {
         "put delay, loss, corruption or a cut between master and slave",
     ),
     "router": ("teleop.link.router", "connect the two sides of many sessions at one place"),
-    "replay": ("teleop.recording.replay", "play a recording back onto the link"),
+    "replay": ("teleop.recording.replay_to_link", "play a recording back onto the link"),
     "recordings": (
         "teleop.cli.recordings",
         "convert recordings to tables, datasets for learning, or bags of ROS 2",

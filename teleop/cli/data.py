@@ -24,16 +24,16 @@ from teleop.cli.diagnose.diagnosis_run import TENSIONS
 from teleop.config.loading import as_tree
 from teleop.config.options import TABLE_OPTIONS, add_options
 from teleop.data.column_units import split_scale
-from teleop.data.mapping import (
+from teleop.data.file_formats import read_columns
+from teleop.data.mapping_file import (
     MappedColumn,
     MappedColumns,
     TableMapping,
     load_mapping,
     parse_column_options,
 )
+from teleop.data.measured_table import MeasuredTable, read_runs
 from teleop.data.reading import GAP_PERIODS, Reading
-from teleop.data.table import MeasuredTable, read_runs
-from teleop.data.table_files import read_columns
 from teleop.errors import UsageError
 from teleop.runtime.output_file import FIGURE_SUFFIXES, OutputFile, save_figure
 from teleop.runtime.process import write_summary, write_text_file

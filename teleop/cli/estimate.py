@@ -31,8 +31,8 @@ from estimator.plausibility import find_channel_faults, find_contradiction, find
 from estimator.spikes import remove_spikes
 from estimator.units import LINEAR
 from slave import model_files
-from slave.calibration import file
-from slave.calibration.file import Calibration, JointTendons
+from slave.calibration import calibration_file
+from slave.calibration.calibration_file import Calibration, JointTendons
 from slave.config import SlaveConfig, load_tendon_configs
 from slave.rig import number_joint_tendons
 from slave.rigs.hardware import HardwareRigConfig
@@ -40,10 +40,10 @@ from slave.rigs.simulated import SimulatedRigConfig
 from slave.tendon_config import TendonConfig
 from teleop.config.loading import RECORDING_SUFFIX, as_tree, load
 from teleop.config.options import TABLE_OPTIONS, add_option, add_options
-from teleop.data.channel_names import format_numbered_name
-from teleop.data.mapping import load_mapping, parse_column_names
+from teleop.data.mapping_file import load_mapping, parse_column_names
+from teleop.data.measured_table import MeasuredTable, get_loop_tension, read_tables, write_table
 from teleop.data.reading import Reading, format_reading
-from teleop.data.table import MeasuredTable, get_loop_tension, read_tables, write_table
+from teleop.data.standard_columns import format_numbered_name
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS, PHASE_NAMES
 from teleop.ros.bag_table import is_bag
@@ -333,7 +333,7 @@ def load_models(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], Joi
     A single model is for all tendons; none with model files only; joints are empty if unknown.
     """
     if args.calibration is not None:
-        calibration = file.load(args.calibration)
+        calibration = calibration_file.load(args.calibration)
         return calibration.tendons, calibration.joints
     if args.config is None and not args.overrides:
         return (), ()
@@ -345,7 +345,7 @@ def load_models(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], Joi
         )
     if isinstance(config.calibration, Path):
         try:
-            calibration = file.load(config.calibration)
+            calibration = calibration_file.load(config.calibration)
         except UsageError as error:
             origin = f"; {args.config} was recorded with it" if is_recording(args.config) else ""
             raise UsageError(f"{error}{origin}; --calibration FILE names another") from error
@@ -453,7 +453,7 @@ def save(path: Path, fit: SheathFit, tendon: TendonConfig, table: MeasuredTable,
         accepted=fit.accept,
         remark=fit.reason,
     )
-    file.save(path, calibration)
+    calibration_file.save(path, calibration)
 
 
 def format_report(summary: dict[str, Any]) -> list[str]:

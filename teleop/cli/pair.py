@@ -29,13 +29,13 @@ from estimator.pair.pair_model import PairRecord
 from estimator.pair.pair_study import PairStudy, analyse_residuals, compute_offset_share, study_pair
 from teleop.config.loading import load
 from teleop.config.options import add_options
-from teleop.data.mapping import TableMapping, load_mapping
+from teleop.data.file_formats import read_columns
+from teleop.data.mapping_file import TableMapping, load_mapping
+from teleop.data.measured_table import Source, number_samples, parse_column
 from teleop.data.raw_table import RawTable
 from teleop.data.reading import Reading, format_reading, format_readings
-from teleop.data.runs import list_runs, split_runs
+from teleop.data.run_splitting import list_runs, split_runs
 from teleop.data.sample_checks import check_effort, check_time
-from teleop.data.table import Source, number_samples, parse_column
-from teleop.data.table_files import read_columns
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder
 from teleop.runtime.process import print_warning, write_summary, write_text_file

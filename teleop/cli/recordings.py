@@ -112,8 +112,8 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _write_table(args: argparse.Namespace) -> int:
+    from teleop.data.file_formats import write_batches
     from teleop.data.recording_table import RecordingBatches
-    from teleop.data.table_files import write_batches
 
     batches = RecordingBatches(args.file, begin_s=args.begin_s, end_s=args.end_s, rate_hz=args.rate)
     write_batches(args.out, batches)

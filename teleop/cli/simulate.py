@@ -17,7 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
-from slave.rigs.bench import (
+from slave.rigs.simulated import (
+    SimulatedRig,
+    SimulatedRigConfig,
+    describe_effect,
+    format_late_effects,
+)
+from slave.rigs.virtual_bench import (
     DEFAULT_PROFILE,
     DEFAULT_SCALE,
     HOLD_TENSION,
@@ -27,12 +33,6 @@ from slave.rigs.bench import (
     check_sampling,
     load_rig_config,
     simulate,
-)
-from slave.rigs.simulated import (
-    SimulatedRig,
-    SimulatedRigConfig,
-    describe_effect,
-    format_late_effects,
 )
 from teleop.config.options import add_options
 from teleop.errors import UsageError

@@ -1,7 +1,7 @@
 """Bilateral coupling of hand and tip over a network with delay, loss and jitter.
 
 See docs/explanation/coupling.md.
-`ledger` is the energy ledger of a port, `interface` the inputs and outputs of a coupling, `direct`,
+`energy_ledger` is that of a port, `interface` the inputs and outputs of a coupling, `direct`,
 `passivity` and `wave` are the couplings, `extension` those of other packages, `contact` is the
 local model of what a tip meets, `side` is all joints of one side.
 """
@@ -14,8 +14,8 @@ from teleop.coupling.config import (
     to_bilateral_settings,
 )
 from teleop.coupling.direct import DirectConfig
+from teleop.coupling.energy_ledger import LEDGER_PERIOD_NS, LedgerPublisher
 from teleop.coupling.extension import CouplingExtension
-from teleop.coupling.ledger import LEDGER_PERIOD_NS, LedgerPublisher
 from teleop.coupling.passivity import PassivityConfig
 from teleop.coupling.side import (
     Side,

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 from estimator.compiled import jit_compile
-from teleop.coupling import ledger
+from teleop.coupling import energy_ledger
+from teleop.coupling.energy_ledger import Port
 from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput, limit_travel
-from teleop.coupling.ledger import Port
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +25,8 @@ class DirectConfig:
 def count_hand_work(port: Port, hand: MasterInput) -> None:
     """Count the work of the hand; see `teleop.coupling.interface`. The force is rendered as is."""
     work = hand.written * hand.travel
-    ledger.count_work(port, work)
-    ledger.pass_on_energy(port, work)
+    energy_ledger.count_work(port, work)
+    energy_ledger.pass_on_energy(port, work)
 
 
 @jit_compile
@@ -34,6 +34,6 @@ def compute_tip_motion(port: Port, tip: SlaveInput) -> SlaveOutput:
     """Return the commanded motion unchanged; see `teleop.coupling.interface`."""
     travel = limit_travel(tip, tip.travel + tip.lag)
     work = -tip.force * travel
-    ledger.count_tip_work(port, work, False)
-    ledger.pass_on_energy(port, work)
+    energy_ledger.count_tip_work(port, work, False)
+    energy_ledger.pass_on_energy(port, work)
     return SlaveOutput(travel, tip.velocity)

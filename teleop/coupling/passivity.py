@@ -20,8 +20,8 @@ limited does not buzz. A bound by the hand's last step buzzes with every step of
 slave's credit is used up over a time.
 - The force is predicted by a local stiffness (`teleop.coupling.contact`), so that delay and the lag
 of the tip's motor need no dissipation that the controller would have to find.
-- The environment at the slave's port returns no more than it took (`ledger.count_tip_work`), a
-constant load no more than `tip_allowance` besides; what the slave does not need goes back to the
+- The environment at the slave's port returns no more than it took (`energy_ledger.count_tip_work`),
+a constant load no more than `tip_allowance` besides; what the slave does not need goes back to the
 master, which needs it for a load that the hand has moved with before the tip has.
 """
 
@@ -31,9 +31,9 @@ from typing import Literal
 
 from estimator.compiled import jit_compile
 from teleop.config.ranges import build_ranged_field, check_ranges
-from teleop.coupling import ledger
+from teleop.coupling import energy_ledger
+from teleop.coupling.energy_ledger import Port
 from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput, limit_travel
-from teleop.coupling.ledger import Port
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,10 +74,10 @@ class PassivityConfig:
 def count_hand_work(config: PassivityConfig, port: Port, hand: MasterInput) -> None:
     """Add the work of the hand and pass it on; see `teleop.coupling.interface`."""
     work = hand.written * hand.travel
-    ledger.count_work(port, work)
-    ledger.grant_energy(port, config.hand_damping * hand.dragged)
-    ledger.pass_on_energy(port, min(work, port.credit - config.reserve))
-    ledger.cap_credit(port, config.credit_max)
+    energy_ledger.count_work(port, work)
+    energy_ledger.grant_energy(port, config.hand_damping * hand.dragged)
+    energy_ledger.pass_on_energy(port, min(work, port.credit - config.reserve))
+    energy_ledger.cap_credit(port, config.credit_max)
 
 
 @jit_compile
@@ -88,7 +88,7 @@ def render_force(
     if not math.isfinite(force):
         return force
     yielding = -math.copysign(1.0, force)
-    margin = ledger.scale_step_tolerance(config.step_tolerance, dt)
+    margin = energy_ledger.scale_step_tolerance(config.step_tolerance, dt)
     next_path = yielding * hand.travel + margin  # [m] that the hand may yield in the next tick
     if port.credit <= 0.0 and next_path <= 0.0:
         return force  # that hand makes good what was overdrawn
@@ -109,17 +109,19 @@ def compute_tip_motion(
     """Return the motion limited by the credit; see `teleop.coupling.interface`."""
     requested = limit_travel(tip, tip.travel + tip.lag * min(dt / config.catch_up, 1.0))
     share = min(dt / config.discharge_time, 1.0)
-    travel = ledger.limit_travel_to_credit(port, tip.force, requested, share)
+    travel = energy_ledger.limit_travel_to_credit(port, tip.force, requested, share)
     work = -tip.force * travel
     if config.passive_tip:
-        ledger.count_tip_work_under_load(
+        energy_ledger.count_tip_work_under_load(
             port, tip.force, travel, config.tip_allowance, config.credit_max, dt
         )
     else:
-        ledger.count_work(port, work)
-    ledger.pass_on_energy(port, min(work, port.credit - config.reserve))
+        energy_ledger.count_work(port, work)
+    energy_ledger.pass_on_energy(port, min(work, port.credit - config.reserve))
     credit_min = config.reserve + max(tip.force * (requested - travel + tip.lag), 0.0)
-    ledger.pass_on_energy(port, (port.credit - credit_min) * min(dt / config.return_time, 1.0))
-    ledger.cap_credit(port, config.credit_max)
+    energy_ledger.pass_on_energy(
+        port, (port.credit - credit_min) * min(dt / config.return_time, 1.0)
+    )
+    energy_ledger.cap_credit(port, config.credit_max)
     velocity = tip.velocity * (travel / requested) if requested != 0.0 else tip.velocity
     return SlaveOutput(travel, velocity)

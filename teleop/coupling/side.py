@@ -7,11 +7,11 @@ from typing import Annotated
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.structs import F64, U64, Field, Flag, Struct
-from teleop.coupling import contact, direct, ledger, passivity, wave
+from teleop.coupling import contact, direct, energy_ledger, passivity, wave
 from teleop.coupling.config import EXTENSION, PASSIVITY, WAVE, BilateralSettings
 from teleop.coupling.contact import Contact
+from teleop.coupling.energy_ledger import Port
 from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
-from teleop.coupling.ledger import Port
 from teleop.messages.messages import MAX_JOINTS
 
 
@@ -47,10 +47,10 @@ def receive_totals(side: Side, sender: int, energy: Array, wave: Array) -> None:
     """
     if sender != side.sender:
         for k in range(MAX_JOINTS):
-            ledger.reset_received_totals(side.ports[k])
+            energy_ledger.reset_received_totals(side.ports[k])
             contact.reset_contact(side.contacts[k])
     for k in range(MAX_JOINTS):
-        ledger.receive_totals(side.ports[k], energy[k], wave[k])
+        energy_ledger.receive_totals(side.ports[k], energy[k], wave[k])
     side.sender = sender
 
 
@@ -73,7 +73,7 @@ def update_contact_models(
 def keep_reserves(settings: BilateralSettings, side: Side) -> None:
     """Keep all ports of an uncoupled side at the reserve."""
     for k in range(MAX_JOINTS):
-        ledger.keep_reserve(side.ports[k], settings.reserve)
+        energy_ledger.keep_reserve(side.ports[k], settings.reserve)
         contact.reset_prediction(side.contacts[k])
 
 
@@ -110,7 +110,7 @@ def count_hand_work(
     """
     if not coupled:
         for k in range(axes):  # fading force
-            ledger.count_work(side.ports[k], written[k] * (position[k] - side.requested[k]))
+            energy_ledger.count_work(side.ports[k], written[k] * (position[k] - side.requested[k]))
         keep_reserves(settings, side)
     elif not side.coupled:
         keep_reserves(settings, side)

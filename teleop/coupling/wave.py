@@ -19,9 +19,9 @@ from typing import Literal
 
 from estimator.compiled import jit_compile
 from teleop.config.ranges import build_ranged_field, check_ranges
-from teleop.coupling import ledger
+from teleop.coupling import energy_ledger
+from teleop.coupling.energy_ledger import Port
 from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput, limit_travel
-from teleop.coupling.ledger import Port
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +72,9 @@ def send_wave(config: WaveConfig, port: Port, wave: float, dt: float) -> None:
     """Send `wave` [sqrt(W)] limited by the credit."""
     wave_max = math.sqrt(2.0 * max(port.credit, 0.0) / dt)
     wave = min(max(wave, -wave_max), wave_max)
-    ledger.pass_on_energy(port, min(0.5 * wave * wave * dt, port.credit))
+    energy_ledger.pass_on_energy(port, min(0.5 * wave * wave * dt, port.credit))
     port.sent_wave += wave * dt
-    ledger.cap_credit(port, config.credit_max)
+    energy_ledger.cap_credit(port, config.credit_max)
 
 
 @jit_compile
@@ -83,7 +83,7 @@ def count_hand_work(config: WaveConfig, port: Port, hand: MasterInput, dt: float
     if dt <= 0.0:
         return
     b = config.impedance
-    ledger.count_work(port, hand.written * hand.travel)
+    energy_ledger.count_work(port, hand.written * hand.travel)
     wave = (b * hand.travel / dt + hand.written) / math.sqrt(2.0 * b)
     send_wave(config, port, wave, dt)
 
@@ -101,8 +101,8 @@ def render_force(
     b = config.impedance
     returned_wave = reconstruct_wave(config, port, dt)
     rendered = b * hand.velocity - math.sqrt(2.0 * b) * returned_wave
-    margin = ledger.scale_step_tolerance(config.step_tolerance, dt)
-    return ledger.limit_force_to_credit(port, rendered, hand.travel, 1.0, margin)
+    margin = energy_ledger.scale_step_tolerance(config.step_tolerance, dt)
+    return energy_ledger.limit_force_to_credit(port, rendered, hand.travel, 1.0, margin)
 
 
 @jit_compile
@@ -118,8 +118,8 @@ def compute_tip_motion(config: WaveConfig, port: Port, tip: SlaveInput, dt: floa
     spare = min(max((port.credit - used) / config.reserve - 1.0, 0.0), 1.0)
     requested += (tip.travel + tip.lag) * min(spare * dt / config.catch_up, 1.0)
     requested = limit_travel(tip, requested)
-    travel = ledger.limit_travel_to_credit(port, tip.force, requested, 1.0)
-    ledger.count_tip_work(port, -tip.force * travel, config.passive_tip)
+    travel = energy_ledger.limit_travel_to_credit(port, tip.force, requested, 1.0)
+    energy_ledger.count_tip_work(port, -tip.force * travel, config.passive_tip)
     returned = (b * travel / dt - tip.force) / math.sqrt(2.0 * b)
     send_wave(config, port, returned, dt)
     return SlaveOutput(travel, travel / dt)

@@ -1,6 +1,6 @@
 """Measured data: tables in and out, and the model files made from them."""
 
-from teleop.data.table import (
+from teleop.data.measured_table import (
     Columns,
     MeasuredTable,
     read_runs,

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from teleop.data import bounds
-from teleop.data.mapping import TableMapping
+from teleop.data import read_limits
+from teleop.data.mapping_file import TableMapping
 from teleop.data.raw_table import Column, RawTable
 from teleop.data.text_table import SAMPLE_LINES, Row, clean_name, locate_table, read_rows, read_text
 from teleop.errors import UsageError
@@ -43,8 +43,8 @@ def read_spreadsheet(path: Path, mapping: TableMapping) -> RawTable:
     calamine = _import(path, "python_calamine")
     if zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as packed:
-            if sum(item.file_size for item in packed.infolist()) > bounds.TEXT_MAX:
-                raise UsageError(f"{path}: unpacks to more than {bounds.TEXT_MAX >> 20} MB")
+            if sum(item.file_size for item in packed.infolist()) > read_limits.TEXT_MAX:
+                raise UsageError(f"{path}: unpacks to more than {read_limits.TEXT_MAX >> 20} MB")
     try:
         book = calamine.CalamineWorkbook.from_path(str(path))
         wanted = [mapping.sheet] if mapping.sheet else book.sheet_names
@@ -58,7 +58,7 @@ def read_spreadsheet(path: Path, mapping: TableMapping) -> RawTable:
         listed = ", ".join(map(repr, filled)) or "no rows"
         raise UsageError(f"{path}: has {listed}; name one: `sheet: NAME` in --mapping FILE")
     (sheet,) = filled.values()
-    bounds.check_size(path, sheet.total_width, sheet.total_height, "split the sheet")
+    read_limits.check_size(path, sheet.total_width, sheet.total_height, "split the sheet")
     rows: list[Row] = [
         (line, [_format_cell(cell) for cell in cells])
         for line, cells in enumerate(sheet.to_python(skip_empty_area=False), 1)
@@ -81,8 +81,8 @@ def read_npz(path: Path, _: TableMapping) -> RawTable:
     """Read the arrays that `numpy.savez` wrote; nothing in it is run."""
     try:
         with zipfile.ZipFile(path) as packed:
-            if sum(item.file_size for item in packed.infolist()) > 8 * bounds.CELLS_MAX:
-                raise UsageError(f"{path}: has more than {bounds.CELLS_MAX} values")
+            if sum(item.file_size for item in packed.infolist()) > 8 * read_limits.CELLS_MAX:
+                raise UsageError(f"{path}: has more than {read_limits.CELLS_MAX} values")
         with np.load(path, allow_pickle=False) as arrays:
             return _assemble(path, ((name, arrays[name]) for name in arrays.files))
     except (ValueError, zipfile.BadZipFile) as error:
@@ -138,8 +138,10 @@ def read_hdf5(path: Path, _: TableMapping) -> RawTable:
 
 
 def _check_shape(path: Path, name: str, shape: Iterable[int]) -> None:
-    if (cells := int(np.prod([int(n) for n in shape]))) > bounds.CELLS_MAX:
-        raise UsageError(f"{path}: {name} has {cells} values, at most {bounds.CELLS_MAX} are read")
+    if (cells := int(np.prod([int(n) for n in shape]))) > read_limits.CELLS_MAX:
+        raise UsageError(
+            f"{path}: {name} has {cells} values, at most {read_limits.CELLS_MAX} are read"
+        )
 
 
 def _assemble(
@@ -163,7 +165,7 @@ def _assemble(
         elif column.ndim == 2 and rows in column.shape:
             wide = column if column.shape[0] == rows else column.T
             table |= {f"{name}:{k + 1}": np.array(wide[:, k], float) for k in range(wide.shape[1])}
-    bounds.check_size(path, len(table), rows, "keep what is needed")
+    read_limits.check_size(path, len(table), rows, "keep what is needed")
     left_out = [name for name in columns if not any(t.partition(":")[0] == name for t in table)]
     remarks = (f"{', '.join(left_out)} left out, not of {rows} values",) if left_out else ()
     return RawTable(table, lambda row: f"row {row + 1}", units=units or {}, remarks=remarks)

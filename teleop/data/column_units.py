@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 from estimator.array_types import Array
 from estimator.units import Units
-from teleop.data.channel_names import STANDARD_NAMES
 from teleop.data.raw_table import RawTable
+from teleop.data.standard_columns import STANDARD_NAMES
 from teleop.data.time_text import has_moments
 from teleop.errors import UsageError
 

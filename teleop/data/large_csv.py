@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from teleop.data import bounds
+from teleop.data import read_limits
 from teleop.data.raw_table import Layout
 from teleop.runtime.status_line import Progress
 
@@ -60,7 +60,7 @@ def read(path: Path, layout: Layout, first: Sequence[str]) -> dict[str, NDArray[
             rows = 0
             for block in blocks:
                 rows += len(block)
-                bounds.check_size(path, len(names), rows, "split the file")
+                read_limits.check_size(path, len(names), rows, "split the file")
                 for part, column in zip(parts, block.columns, strict=True):
                     if not _has_readable_cells(column):
                         return None
@@ -95,7 +95,7 @@ def _has_readable_cells(column: Any) -> bool:
     if pa.types.is_floating(column.type):
         return True
     longest = compute.max(compute.utf8_length(column)).as_py()
-    return longest is None or longest <= bounds.CELL_MAX
+    return longest is None or longest <= read_limits.CELL_MAX
 
 
 def _to_array(column: Any) -> NDArray[Any]:
@@ -120,4 +120,4 @@ def unpack_text(path: Path, file: io.BufferedIOBase) -> io.BufferedReader:
     """Return the text of an open .csv or .csv.gz file, as bytes, of which so much is read."""
     packed = path.name.lower().endswith(".gz")
     text = gzip.GzipFile(fileobj=file) if packed else file
-    return io.BufferedReader(bounds.BoundedReader(path, text), 1 << 16)
+    return io.BufferedReader(read_limits.BoundedReader(path, text), 1 << 16)

@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from teleop.data import bounds
+from teleop.data import read_limits
 from teleop.errors import UsageError
 
 Column = NDArray[Any]  # float64, or object if some cell is text
@@ -114,7 +114,7 @@ def check_names(path: Path, line: int, names: Sequence[str]) -> None:
         raise UsageError(f"{path}: line {line}: is blank, must contain the column names")
     if not all(name.isprintable() for name in names):
         raise UsageError(f"{path}: line {line}: is not text, must contain the column names")
-    bounds.check_size(path, len(names), 0, "keep those that are needed")
+    read_limits.check_size(path, len(names), 0, "keep those that are needed")
     for name in names:
         if name and names.count(name) > 1:
             raise UsageError(

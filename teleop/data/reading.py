@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from estimator.array_types import Array
-from teleop.data.channel_names import STANDARD_NAMES
-from teleop.data.table import MeasuredTable, Source
+from teleop.data.measured_table import MeasuredTable, Source
+from teleop.data.standard_columns import STANDARD_NAMES
 
 GAP_PERIODS = 1.5  # median periods from which on samples are missing
 FILES_SHOWN = 6  # in a terminal, of many

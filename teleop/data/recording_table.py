@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from teleop.config.suggestions import suggest_spelling
+from teleop.data.file_formats import read_columns
 from teleop.data.large_csv import PROGRESS_DELAY_S
-from teleop.data.table_files import read_columns
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_JOINTS, decode_text
 from teleop.messages.topics import COMMAND, EVENT, HAND, STATE, format_role

@@ -8,11 +8,11 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.units import LINEAR, Units
-from teleop.data import channel_names
-from teleop.data.cells import THOUSANDS
+from teleop.data import standard_columns
 from teleop.data.column_units import PERIOD_MIN, propose_length_unit, propose_time_unit
 from teleop.data.raw_table import RawTable
-from teleop.data.runs import describe_second_record, is_overflow
+from teleop.data.run_splitting import describe_second_record, is_overflow
+from teleop.data.text_cells import THOUSANDS
 from teleop.errors import UsageError
 
 TENSION_PEAK = 1000.0  # [N] above this the unit is wrong: grams or millinewtons
@@ -59,7 +59,7 @@ def check_samples(
     _check_common_rows(path, names, channels)
     for item in ("proximal_tension", "distal_tension"):
         if item in names:
-            option = channel_names.STANDARD_NAMES[units][item].rpartition("_")[0]
+            option = standard_columns.STANDARD_NAMES[units][item].rpartition("_")[0]
             loop = f"; a closed loop's forces are named {item.replace('tension', 'force')}_N"
             check_effort(
                 path,

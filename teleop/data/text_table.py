@@ -19,8 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from teleop.data import bounds, large_csv, time_text
-from teleop.data.cells import (
+from teleop.data import large_csv, read_limits, time_text
+from teleop.data.column_units import TIME_NAMES, is_unit
+from teleop.data.mapping_file import TableMapping
+from teleop.data.raw_table import SEPARATORS, Column, Layout, RawTable, check_names, detect_encoding
+from teleop.data.text_cells import (
     BLANKS,
     EXPONENT,
     NUMBERS,
@@ -30,9 +33,6 @@ from teleop.data.cells import (
     parse_cells,
     to_number,
 )
-from teleop.data.column_units import TIME_NAMES, is_unit
-from teleop.data.mapping import TableMapping
-from teleop.data.raw_table import SEPARATORS, Column, Layout, RawTable, check_names, detect_encoding
 from teleop.errors import UsageError
 
 Row = tuple[int, list[str]]  # its line, and its cells
@@ -167,7 +167,7 @@ def locate_table(
         header, (line, cells) = begin, rows[begin]
         names = [clean_name(cell) for cell in cells]
     if header is None:
-        bounds.check_size(path, width, 0, "keep those that are needed")
+        read_limits.check_size(path, width, 0, "keep those that are needed")
         names = [f"column {k + 1}" for k in range(width)]
         return Layout(tuple(names), 0, rows[begin][0] - 1, decimal=decimal)
     check_names(path, line, names)
@@ -323,7 +323,7 @@ def read_rows(path: Path, layout: Layout, rows: Iterable[Row], unit: str = "line
                 for name, cells in zip(names, zip(*chunk, strict=True), strict=True)
             ]
         )
-        bounds.check_size(path, len(names), len(lines), "split the file")
+        read_limits.check_size(path, len(names), len(lines), "split the file")
     columns = {
         name or f"column {i + 1}": np.concatenate([p[i] for p in parts]) if parts else np.empty(0)
         for i, name in enumerate(names)
@@ -417,7 +417,7 @@ def open_lines(path: Path, encoding: str) -> Iterator[Iterator[str]]:
     """Open the lines of a text file, packed or not."""
     with path.open("rb") as file:
         packed = large_csv.unpack_text(path, file)
-        yield bounds.read_bounded_lines(path, io.TextIOWrapper(packed, encoding, newline=""))
+        yield read_limits.read_bounded_lines(path, io.TextIOWrapper(packed, encoding, newline=""))
 
 
 def read_text(path: Path, mapping: TableMapping) -> RawTable:

@@ -25,7 +25,7 @@ from slave.live_settings import is_live_key
 from slave.simulation import environment
 from teleop.errors import TeleopError, UsageError
 from teleop.experiment.design import Design, Trial, Value
-from teleop.experiment.results import TrialTable, format_value
+from teleop.experiment.trial_table import TrialTable, format_value
 from teleop.impair.config import ImpairConfig
 from teleop.launch.config import SessionConfig
 from teleop.launch.console import KeyReader

@@ -26,7 +26,7 @@ from teleop.ros.message_types import (
     build_header,
     build_message,
 )
-from teleop.ros.outputs import build_frame_name
+from teleop.ros.output_topics import build_frame_name
 from teleop.view.space_arm import SpaceArm, load_arms
 
 GRIPPER = "gripper"  # the joint behind the kinematics

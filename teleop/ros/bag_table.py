@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.units import LINEAR
 from teleop.config import strict_yaml
-from teleop.data import bounds
-from teleop.data.channel_names import format_standard_name
+from teleop.data import read_limits
+from teleop.data.standard_columns import format_standard_name
 from teleop.errors import UsageError
 from teleop.recording.scan import MESSAGE_HEAD, SESSION_METADATA, Scan
 from teleop.ros.message_types import JOINT_STATE, WRENCH_STAMPED, CdrError, decode, to_stamp_ns
@@ -100,7 +100,7 @@ def read_bag(path: Path, names: Sequence[str] = ()) -> BagTable:
     width = 1 + 2 * len(tendons) + (0 if distal is None else len(distal.columns))
     width += sum(len(signals.values) for signals in (joints | wrenches).values())
     # before any column: a topic with few messages has as many rows as the others here
-    bounds.check_size(path, width, len(rows), "keep fewer topics: ros2 bag convert")
+    read_limits.check_size(path, width, len(rows), "keep fewer topics: ros2 bag convert")
     time_s = (rows - rows[0]) * 1e-9
 
     def sampled(times: NDArray[np.int64], values: Array) -> Array:
@@ -258,9 +258,9 @@ def _read_topics(path: Path) -> dict[str, _RecordedTopic]:
                         f"{file}: a message of {channel.topic} is damaged: {error}"
                     ) from error
                 messages += 1
-                if cells > bounds.CELLS_MAX:
+                if cells > read_limits.CELLS_MAX:
                     raise UsageError(
-                        f"{path}: has more than {bounds.CELLS_MAX} values of JointState and "
+                        f"{path}: has more than {read_limits.CELLS_MAX} values of JointState and "
                         "WrenchStamped; keep fewer topics, or less time: ros2 bag convert"
                     )
         if shortfall := scan.describe_shortfall(f"{messages} messages"):

@@ -7,7 +7,7 @@ subscriber in the graph. Without one, commands are refused: nobody reads them.
 import threading
 
 from teleop.ros.graph import EndpointKind, GraphEndpoint
-from teleop.ros.outputs import build_topic_name
+from teleop.ros.output_topics import build_topic_name
 
 SERVO_TOPICS = {command: f"master/{command}" for command in ("servo_jp", "servo_cv", "servo_cp")}
 STATE_COMMAND = "master/state_command"

@@ -8,7 +8,7 @@ from teleop.config.suggestions import suggest_spelling
 from teleop.errors import UsageError
 from teleop.link.config import Address, Endpoint, LinkConfig
 from teleop.ros.graph import is_name
-from teleop.ros.outputs import OUTPUTS
+from teleop.ros.output_topics import OUTPUTS
 
 ALL = tuple(output.name for output in OUTPUTS)
 DOMAIN_MAX = 232  # of ROS 2

@@ -27,7 +27,7 @@ from teleop.ros.message_types import (
     build_header,
     build_message,
 )
-from teleop.ros.outputs import build_frame_name
+from teleop.ros.output_topics import build_frame_name
 from teleop.session.state_machine import State, to_reason
 from teleop.view.scene_geometry import compute_centreline
 

@@ -13,7 +13,7 @@ from teleop.ros.config import RosConfig
 from teleop.ros.frames import SessionNotes, build_diagnostics, build_sheath_frames
 from teleop.ros.message_types import encode
 from teleop.ros.node import RosNode, RosPublisher
-from teleop.ros.outputs import (
+from teleop.ros.output_topics import (
     EVENTS,
     OUTPUTS,
     NamingContext,

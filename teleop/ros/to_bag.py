@@ -12,13 +12,13 @@ from teleop.errors import UsageError
 from teleop.messages.messages import MAX_JOINTS, TendonState
 from teleop.messages.topics import EVENT, REPORT, SHEATH, STATE, TENDONS, TOPICS
 from teleop.recording.reader import RecordedMessage, RecordingInfo, open_recording, read_messages
-from teleop.recording.replay import print_doubts, require_present_layout
+from teleop.recording.replay_to_link import print_doubts, require_present_layout
 from teleop.ros.arms import RosArm, load_ros_arms
 from teleop.ros.bag_writer import BagWriter
 from teleop.ros.frames import SIDES, SessionNotes, build_diagnostics, build_sheath_frames
 from teleop.ros.graph import is_name
 from teleop.ros.message_types import build_header, build_joint_state, require_rosbags
-from teleop.ros.outputs import (
+from teleop.ros.output_topics import (
     EVENTS,
     LIVE,
     OUTPUTS,

@@ -23,7 +23,7 @@ from teleop.runtime.process import StopCondition, is_supervised, write_summary
 from teleop.runtime.realtime import enter_loop, request_realtime
 from teleop.session.config import RunConfig
 from teleop.session.events import MARK, publish_event
-from teleop.session.meter import LoopMeter
+from teleop.session.loop_meter import LoopMeter
 from teleop.session.state_machine import (
     OutlineReader,
     Reason,

@@ -218,7 +218,7 @@ def find_fault(loops: Iterable[LoopSummary]) -> str:
 
 
 # flags of a gate in a session that is not engaged, or without intervention
-ORDINARY_GATE_RESULTS = ("PASSED", "HELD", "NOT_ENGAGED", "STALE", "NOT_ENGAGED|STALE")
+ORDINARY_GATE_RESULTS = ("PASSED", "HELD", "NOT_ENGAGED", "STALE_STATE", "NOT_ENGAGED|STALE_STATE")
 
 
 def format_summary(summary: SessionSummary, with_loops: bool = True) -> list[str]:

@@ -36,7 +36,7 @@ from teleop.errors import TeleopError, UsageError
 from teleop.link import Link, ReceivedMessage
 from teleop.messages.topics import TOPICS, Role
 from teleop.recording.reader import open_recording
-from teleop.recording.replay import adopt_config, print_doubts, require_present_layout
+from teleop.recording.replay_to_link import adopt_config, print_doubts, require_present_layout
 from teleop.runtime.files import find_state_folder
 from teleop.runtime.output_file import OutputFile
 from teleop.runtime.process import (

@@ -9,12 +9,12 @@ from pathlib import Path
 import can
 import pytest
 
-from slave.drivers import configs
-from slave.drivers.cia402 import bus, tools
+from slave.drivers import driver_table
+from slave.drivers.cia402 import bring_up, bus
+from slave.drivers.cia402.bring_up import Cia402Reader
 from slave.drivers.cia402.config import BusConfig, Cia402Config
 from slave.drivers.cia402.driver import Cia402Driver
 from slave.drivers.cia402.monitor import BusMonitor, find_interface_fault
-from slave.drivers.cia402.tools import Cia402Reader
 from slave.drivers.driver import Channels, DriverFault
 from studies.rigs.models.drives import Drives, SlcanAdapter
 from studies.rigs.models.line import PseudoPort
@@ -96,7 +96,7 @@ def test_a_node_that_is_alive_but_does_not_answer_is_told_from_one_that_is_not_t
 
 
 def test_two_nodes_of_one_number_are_named_by_every_command(drives, monkeypatch):
-    monkeypatch.setattr(tools, "NODE_NUMBER_MAX", 3)
+    monkeypatch.setattr(bring_up, "NODE_NUMBER_MAX", 3)
     send = drives.bus.send
 
     def send_twice(message, timeout=None):
@@ -105,14 +105,14 @@ def test_two_nodes_of_one_number_are_named_by_every_command(drives, monkeypatch)
             send(message, timeout)
 
     config = config_on(drives.port_name)
-    (line,) = configs.scan(config)
+    (line,) = driver_table.scan(config)
     assert line == "node 1: model of a drive, profile 402, switch on disabled"
     drives.bus.send = send_twice
     said = "drive 1 answers each request twice: two nodes have this number: connect one at a time"
-    (line,) = configs.scan(config)
+    (line,) = driver_table.scan(config)
     assert line.startswith(said)
     for motors, cells, read_only in (((1,), (), True), ((1,), (), False), ((), (1,), False)):
-        driver = configs.open_driver(config, Channels(motors, cells, read_only))
+        driver = driver_table.open_driver(config, Channels(motors, cells, read_only))
         with pytest.raises(DriverFault, match=said), contextlib.closing(driver):
             driver.start()
 

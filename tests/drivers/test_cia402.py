@@ -18,7 +18,7 @@ from durand.datatypes import DatatypeEnum
 
 from slave import loop
 from slave.config import SlaveConfig, TendonConfig
-from slave.drivers import configs
+from slave.drivers import driver_table
 from slave.drivers.cia402 import bus
 from slave.drivers.cia402.config import (
     LOAD_MAX,
@@ -388,7 +388,7 @@ def test_a_fault_is_named_and_stays_until_the_operator_resets_it(drives):
     with pytest.raises(RigFault, match=r"drive 2 has a fault.*teleop rig reset"), opened_on(drives):
         pass
     assert drives.drives[1].state == FAULT
-    assert list(configs.reset(config_on(drives), (2,))) == ["drive 2: switch on disabled"]
+    assert list(driver_table.reset(config_on(drives), (2,))) == ["drive 2: switch on disabled"]
     with opened_on(drives) as rig:
         read_some(rig, 1)
         assert drives.drives[1].state == DISABLED

@@ -8,11 +8,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from slave.drivers import configs
+from slave.drivers import driver_table
 from slave.drivers.driver import Channels, DriverFault
 from slave.drivers.dynamixel import registers
+from slave.drivers.dynamixel.bring_up import DynamixelReader
 from slave.drivers.dynamixel.registers import CURRENT_UNIT
-from slave.drivers.dynamixel.tools import DynamixelReader
 from slave.rig import RigFault
 from slave.rigs.hardware import HardwareRig
 from studies.rigs.models.plant import NEWTONS, ZERO
@@ -309,12 +309,12 @@ def test_a_model_without_current_limits_none_and_is_no_cell(servos, model, read_
         ((), f"servo 2: model {model} has no current-based position mode.*current_limit to null"),
         ((2,), f"servo 2: model {model} measures no current known to this driver.*slave.rig.cells"),
     ):
-        driver = configs.open_driver(config, Channels((2,), cells, read_only))
+        driver = driver_table.open_driver(config, Channels((2,), cells, read_only))
         with pytest.raises(DriverFault, match=said), contextlib.closing(driver):
             driver.start()
     assert servos.servos[2].table[OPERATING_MODE] == 3
     config = dynamixel(servos.port.name)  # without a limit
-    with contextlib.closing(configs.open_driver(config, Channels((2,), (1,)))) as driver:
+    with contextlib.closing(driver_table.open_driver(config, Channels((2,), (1,)))) as driver:
         driver.start()
     assert servos.servos[2].table[OPERATING_MODE] == 4
 
@@ -327,12 +327,12 @@ def test_a_servo_of_another_control_table_is_refused_before_anything_is_written(
     for servo in servos.servos.values():
         servo.write = lambda address, _data: pytest.fail(f"written at {address}")
     config = dynamixel(servos.port.name)
-    driver = configs.open_driver(config, Channels((2,), (), read_only))
+    driver = driver_table.open_driver(config, Channels((2,), (), read_only))
     said = "servo 2: model 350 has another control table than the X series"
     with pytest.raises(DriverFault, match=said), contextlib.closing(driver):
         driver.start()
     monkeypatch.setattr(registers, "BAUD_RATES", ())
-    first, second = configs.scan(config)
+    first, second = driver_table.scan(config)
     assert first == "servo 1: model 1020 at 1000000 baud"
     assert second == "servo 2: model 350 at 1000000 baud; not of the X series: no driver"
 
@@ -361,8 +361,8 @@ def test_a_second_program_is_refused_and_the_first_goes_on(servos):
         for program in (
             lambda: HardwareRig(config_on(servos)),
             lambda: HardwareRig(config_on(servos), read_only=True),
-            lambda: list(configs.scan(config)),
-            lambda: list(configs.reset(config, (1,))),
+            lambda: list(driver_table.scan(config)),
+            lambda: list(driver_table.reset(config, (1,))),
         ):
             tried = second.submit(program)
             read_for(rig, LIMIT_S, start, until=tried.done)
@@ -395,7 +395,7 @@ def test_two_servos_of_one_number_are_named():
 
 
 def test_a_servo_that_is_not_there_is_named_once_the_others_are_reset(servos):
-    lines = configs.reset(dynamixel(servos.port.name), (1, 7))
+    lines = driver_table.reset(dynamixel(servos.port.name), (1, 7))
     assert next(lines) == "servo 1: restarted"
     with pytest.raises(DriverFault, match="not reset: servo 7: no answer"):
         next(lines)

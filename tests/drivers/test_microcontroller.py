@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from slave.bring_up import command
-from slave.drivers import configs, worker
+from slave.drivers import driver_table, worker
 from slave.drivers.driver import Channels, DriverFault
 from slave.drivers.microcontroller import driver, frames
 from slave.drivers.microcontroller.driver import MicrocontrollerDriver
@@ -196,7 +196,7 @@ def test_a_board_that_says_nothing_is_asked_for_its_firmware(monkeypatch, read_o
     for name in ("GREETING_S", "LISTEN_S"):
         monkeypatch.setattr(driver, name, 0.1)
     port = PseudoPort()
-    silent = configs.open_driver(microcontroller(port.name), Channels((1,), (1,), read_only))
+    silent = driver_table.open_driver(microcontroller(port.name), Channels((1,), (1,), read_only))
     said = "is the firmware of firmware/ on the board, and the baud rate right?"
     with pytest.raises(DriverFault, match=re.escape(said)), contextlib.closing(silent):
         silent.start()

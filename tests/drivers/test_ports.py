@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from slave.drivers import claim, configs, ports
+from slave.drivers import claim, driver_table, ports
 from slave.drivers.cia402 import bus
 from slave.drivers.cia402.config import BusConfig, Cia402Config
 from slave.drivers.driver import Channels, DriverFault
@@ -64,12 +64,12 @@ def test_motors_are_moved_only_by_a_name_that_stays_with_the_adapter(plug, tmp_p
         with pytest.raises(
             DriverFault, match=f"nothing is moved: set it to {serial}/by-id/{lasting}$"
         ):
-            configs.open_driver(config(port), MOTORS)
-        configs.open_driver(config(port), Channels((1,), (1,), read_only=True))
-        configs.open_driver(config(port), Channels((), (1,)))
+            driver_table.open_driver(config(port), MOTORS)
+        driver_table.open_driver(config(port), Channels((1,), (1,), read_only=True))
+        driver_table.open_driver(config(port), Channels((), (1,)))
     (tmp_path / "my-arm").symlink_to(left)  # by a rule of the user's
     for name in (serial / "by-id/usb-A", serial / "by-path/pci-2", tmp_path / "my-arm", "can0"):
-        configs.open_driver(config(str(name)), MOTORS)
+        driver_table.open_driver(config(str(name)), MOTORS)
 
 
 def test_adapters_without_serial_numbers_are_told_apart_by_their_sockets(plug, tmp_path):

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.law.sheath import Sheath
-from studies.brute.chain import Chain, Force, Position, Spring
+from studies.brute_force.chain import Chain, Force, Position, Spring
 
 RATE = 500.0
 

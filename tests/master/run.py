@@ -6,12 +6,12 @@ import numpy as np
 
 from estimator.structs import view_struct
 from master import loop
+from master.axis_map import VelocityMap
 from master.config import MasterConfig
 from master.device import HandState
 from master.feedback import FeedbackConfig
 from master.gate import GateConfig
 from master.hand_input import HandInput, fill_hand_input
-from master.hand_map import VelocityMap
 from master.settings_record import SettingsRecord
 from teleop.coupling import Bilateral
 from teleop.messages.messages import MAX_JOINTS, Command, SlaveState, pad_values

@@ -34,7 +34,7 @@ def test_the_command_runs_alone_and_leaves_its_summary(tmp_path, capsys):
     } <= set(summary)  # fmt: skip
     assert summary["role"] == "master"
     assert summary["stopped"] == "duration reached"
-    assert summary["gate"] == {"NOT_ENGAGED|STALE": summary["ticks"]}
+    assert summary["gate"] == {"NOT_ENGAGED|STALE_STATE": summary["ticks"]}
     assert summary["latency_ms"]["n"] == 0
     assert f"over {summary['seconds']:.1f} s" in capsys.readouterr().out
 

@@ -8,12 +8,12 @@ import pytest
 
 from estimator.structs import view_struct
 from master import hand_input, loop
+from master.axis_map import VelocityMap
 from master.config import MasterConfig
 from master.device import HandState
 from master.devices.virtual import Reaches, VirtualConfig, advance_hand
 from master.feedback import FeedbackConfig
 from master.gate import GateConfig
-from master.hand_map import VelocityMap
 from master.operator import OperatorConfig
 from master.settings_record import SettingsRecord
 from teleop import coupling

@@ -21,7 +21,7 @@ CONFIGS = st.builds(
     total_max=LIMITS,
     slew_max=st.floats(1e-3, 1e6),
 )
-ZERO = GateFlags.NOT_ENGAGED | GateFlags.STALE | GateFlags.NOT_FINITE
+ZERO = GateFlags.NOT_ENGAGED | GateFlags.STALE_STATE | GateFlags.NOT_FINITE
 
 
 class Gated(NamedTuple):
@@ -136,7 +136,7 @@ def test_a_force_that_fades_only_shrinks_and_is_gone_in_time(start, dt):
     force, passed = tuple(start), 0.0
     while passed < FADE_S - 1e-9:
         faded, verdict = step(config, force, force, False, False, dt, is_force_fading=True)
-        assert verdict == GateFlags.NOT_ENGAGED | GateFlags.STALE
+        assert verdict == GateFlags.NOT_ENGAGED | GateFlags.STALE_STATE
         for was, now in zip(force, faded, strict=True):
             assert now == 0.0 or (abs(now) < abs(was) and now * was > 0.0)
         force, passed = faded, passed + dt

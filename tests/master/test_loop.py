@@ -90,7 +90,7 @@ def test_after_a_stale_state_the_force_fades_and_nothing_couples_until_let_go(ho
         state = None
     for _ in range(math.ceil(FADE_S / 1e-3)):
         output = run.tick(hand(), state, age)
-        assert output.verdict & GateFlags.STALE
+        assert output.verdict & GateFlags.STALE_STATE
         assert felt < output.force[0] <= 0.0 or felt == output.force[0] == 0.0
         felt = output.force[0]
     assert felt == 0.0

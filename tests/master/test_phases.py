@@ -84,7 +84,7 @@ def test_a_state_that_grows_too_old_during_the_wait_makes_the_force_fade():
     run = Run().engaged()
     felt = run.answered(hand(), force=10.0).force[0]
     output = run.tick(hand(), answer(run.now + MS), 30 * MS - 10, wait=20)
-    assert output.verdict & GateFlags.STALE
+    assert output.verdict & GateFlags.STALE_STATE
     assert felt < output.force[0] < 0.0
     assert run.session == (State.HOLDING, Reason.PEER_SILENT)
 
@@ -157,7 +157,7 @@ def test_a_sample_age_beyond_every_limit_is_not_fresh():
     run.answered(hand())
     for age in (2**63 - 1, 2**62):
         state = replace(answer(run.now + MS), sample_age_ns=age)
-        assert run.tick(hand(), state, 2**62).verdict & GateFlags.STALE
+        assert run.tick(hand(), state, 2**62).verdict & GateFlags.STALE_STATE
 
 
 def test_a_command_is_written_whole_whatever_was_in_it():

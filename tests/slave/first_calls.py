@@ -11,7 +11,7 @@ from contextlib import ExitStack
 import numpy as np
 
 from slave.bring_up import rig_check
-from slave.calibration import run as calibration_run
+from slave.calibration import procedure_run as calibration_run
 from slave.calibration.config import InitialiseConfig
 from slave.gate import GateConfig
 from slave.rig import RigSample

@@ -13,7 +13,7 @@ from slave.adaptation import UNDECIDED_S, AdaptationConfig, describe_fixed
 from slave.config import SlaveConfig, to_tendon_config
 from slave.extensions import EstimatorExtension
 from slave.rig import RigSample
-from slave.rigs.replayed import ReplayedRigConfig
+from slave.rigs.replayed_data import ReplayedRigConfig
 from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
 from slave.samples import estimate, to_sample_rows
 from slave.simulation.effects.friction import FrictionStep
@@ -21,7 +21,7 @@ from slave.simulation.sensing_loop import SensingLoopConfig
 from slave.simulation.tendon import SheathConfig
 from slave.tendon_config import TendonConfig
 from teleop.config.arm import ArmConfig
-from teleop.data.channel_names import Columns
+from teleop.data.standard_columns import Columns
 from teleop.errors import UsageError
 from teleop.session.tick_checkpoint import Checkpoint
 

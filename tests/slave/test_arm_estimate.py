@@ -15,7 +15,7 @@ from slave import control
 from slave.arm_estimate import build_arm_estimator, estimate_arm_forces
 from slave.config import TendonConfig
 from slave.control import JointEstimate
-from slave.tendons import EstimatedTendon, build_rig_layout
+from slave.rig_layout import EstimatedTendon, build_rig_layout
 from teleop.config.arm import ArmConfig
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from tests.slave.heavy_arm import write_heavy_urdf

@@ -15,8 +15,8 @@ from slave.bring_up.rig_check import (
     measure_at_rest,
     move_motor,
 )
-from slave.calibration.run import generate_fast_ticks
-from slave.drivers import configs
+from slave.calibration.procedure_run import generate_fast_ticks
+from slave.drivers import driver_table
 from slave.drivers.cia402.config import Cia402Config
 from slave.drivers.driver import Channels, DriverFault
 from slave.gate import GateConfig
@@ -258,9 +258,9 @@ def test_without_its_library_a_driver_says_in_a_line_what_to_install(monkeypatch
     def missing(_name):
         raise ModuleNotFoundError("No module named 'can'", name="can")
 
-    monkeypatch.setattr(configs, "importlib", argparse.Namespace(import_module=missing))
+    monkeypatch.setattr(driver_table, "importlib", argparse.Namespace(import_module=missing))
     with pytest.raises(DriverFault, match=r"'can': pip install 'tendon-teleop\[can\]'"):
-        configs.open_driver(Cia402Config(), Channels((1,)))
+        driver_table.open_driver(Cia402Config(), Channels((1,)))
 
 
 def test_read_only_opens_the_rig_so_and_writes_nothing(monkeypatch):

@@ -8,7 +8,7 @@ import pytest
 from slave.config import SlaveConfig, TendonConfig, find_config_warnings
 from slave.control import ControlConfig
 from slave.gate import GateConfig
-from slave.rigs.replayed import ReplayedRigConfig
+from slave.rigs.replayed_data import ReplayedRigConfig
 from slave.rigs.simulated import JointConfig, SimulatedRigConfig, TendonPlantConfig
 from slave.simulation.sensing_loop import SensingLoopConfig
 from slave.simulation.tendon import SheathConfig

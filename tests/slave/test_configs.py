@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from master.config import MasterConfig
-from slave.calibration import file
+from slave.calibration import calibration_file
 from slave.config import SlaveConfig, find_not_ready_reason, load_tendon_configs
 from slave.rigs import open_rig
 from teleop.cli import commands
@@ -86,7 +86,7 @@ def true_sheaths(config):
 
 def test_as_its_file_says_a_rig_is_calibrated_and_every_sheath_found(done):
     name, out = done
-    found = file.load(out).directions
+    found = calibration_file.load(out).directions
     true = list(true_sheaths(load(FOLDER / f"{name}.yaml", SlaveConfig, "slave")))
     assert len(found) == len(true)
     for direction, (K, stiffness) in zip(found, true, strict=True):
@@ -132,4 +132,4 @@ def test_what_a_simulated_tip_touches_is_taken_away(tmp_path, capsys):
     out = tmp_path / "calibration.yaml"
     assert calibrate("demo", out) == 0
     assert "calibrated without what its joints and tips touch" in capsys.readouterr().err
-    assert file.load(out).accepted
+    assert calibration_file.load(out).accepted

@@ -14,8 +14,8 @@ from estimator.online.tendon_estimate import Status
 from estimator.structs import to_struct, view_struct
 from slave import control
 from slave.control import ControlConfig, ControllerState, JointEstimate
-from slave.control.joint import fuse_travels
-from slave.tendons import EstimatedTendon, build_rig_layout
+from slave.control.joint_estimate import fuse_travels
+from slave.rig_layout import EstimatedTendon, build_rig_layout
 from teleop.config.arm import RoutingConfig
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 

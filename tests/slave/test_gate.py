@@ -13,7 +13,7 @@ from estimator.structs import to_struct, view_struct
 from slave import gate
 from slave.control import JointEstimate
 from slave.gate import GateConfig, GateFlags, Reach
-from slave.tendons import build_rig_layout
+from slave.rig_layout import build_rig_layout
 from teleop.config.arm import ArmConfig
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from tests.anything import CASES, Anything
@@ -100,7 +100,7 @@ def test_a_tension_that_is_too_old_pulls_nothing_and_pays_out():
 
     just, old = LIMITS.tension_age_max, LIMITS.tension_age_max * 1.001
     assert moved(0.02001, just) == ((0.02001,), GateFlags.PASSED)
-    assert moved(0.02001, old) == ((0.02,), GateFlags.STALE)
+    assert moved(0.02001, old) == ((0.02,), GateFlags.STALE_TENSION)
     assert moved(0.01999, old) == ((0.01999,), GateFlags.PASSED)
 
 

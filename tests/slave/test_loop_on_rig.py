@@ -12,7 +12,7 @@ from slave import loop
 from slave.calibration.monitor import Advice
 from slave.config import SlaveConfig, TendonConfig, load_tendon_configs
 from slave.gate import GateConfig
-from slave.rigs.replayed import ReplayedRigConfig
+from slave.rigs.replayed_data import ReplayedRigConfig
 from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
 from slave.simulation.effects.friction import FrictionStep
 from slave.simulation.effects.sensors import StuckCell

@@ -14,10 +14,10 @@ from slave import model_files
 from slave.config import SlaveConfig, load_tendon_configs
 from slave.process import describe_models
 from slave.tendon_config import TendonConfig
-from studies import hidden
+from studies import hidden_effects
 from teleop.cli import commands
 from teleop.config.loading import load
-from teleop.data.table import read_table, write_table
+from teleop.data.measured_table import read_table, write_table
 from teleop.errors import UsageError
 
 JOINTS = ((0, 1), (2, 3))
@@ -43,7 +43,7 @@ def file(tmp_path):
 
 @pytest.fixture(scope="module")
 def data():
-    return hidden.make(1, "tension_dependent_friction", duration=20.0, rate=50.0)
+    return hidden_effects.make(1, "tension_dependent_friction", duration=20.0, rate=50.0)
 
 
 @pytest.fixture(scope="module")

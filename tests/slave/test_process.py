@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from slave import loop, process, warm_up
+from slave.calibration.calibration_file import Calibration
 from slave.calibration.config import InitialiseConfig
-from slave.calibration.file import Calibration
 from slave.calibration.initialisation import InitialiseResult
 from slave.config import SlaveConfig, TendonConfig
 from slave.process import CalibrationHistory, SlaveProcess

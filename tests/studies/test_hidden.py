@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from studies.hidden import CHANNELS, VISIBLE, make, motion
-from studies.hidden.chain import SPRUNG, Law, Tip, at_rest, lay, run, step
-from studies.hidden.session import JUST_SEEN, draw_bench, visible
+from studies.hidden_effects import CHANNELS, VISIBLE, make, motion
+from studies.hidden_effects.chain import SPRUNG, Law, Tip, at_rest, lay, run, step
+from studies.hidden_effects.session import JUST_SEEN, draw_bench, visible
 
 QUICK = {"duration": 30.0, "rate": 20.0}
 EXACT = {"noise": 0.0, "resolution": 0.0}

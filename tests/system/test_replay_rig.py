@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from teleop.cli import commands
-from teleop.data.table import read_table
+from teleop.data.measured_table import read_table
 from teleop.messages.topics import HAND, TENDONS
 from teleop.recording.reader import open_recording, read_columns
 from tests.system.test_run import run

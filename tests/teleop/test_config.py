@@ -280,7 +280,10 @@ def test_an_override_changes_only_what_it_names_where_the_file_has_aliases(tmp_p
     [
         ("slave.tendons", "expected dotted.key=value"),
         ("=3", "expected dotted.key=value"),
-        ("slave.tendons=x", "--set slave.tendons=x: slave.tendons: 'x' is not a whole number"),
+        (
+            "slave.tendons=x",
+            "--set slave.tendons=x: slave.tendons: 'x' is not a whole number",
+        ),
         ("slave.tendon=3", "did you mean 'tendons'?"),
         ("slav.tendons=3", "did you mean 'slave'?"),
         ("slave.force.limit=60", "--set slave.force.limit=60: slave.force.limit: 60.0: allowed"),

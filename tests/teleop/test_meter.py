@@ -6,7 +6,7 @@ from teleop.link import MessageCounts
 from teleop.link.health import HealthConfig, LinkHealth
 from teleop.messages.topics import Role
 from teleop.runtime.clock import TickStats
-from teleop.session.meter import REPORT_PERIOD_NS, LoopMeter
+from teleop.session.loop_meter import REPORT_PERIOD_NS, LoopMeter
 from teleop.session.state_machine import Reason, SessionOutline, State
 
 MS = 1_000_000

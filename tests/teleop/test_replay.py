@@ -12,10 +12,10 @@ from teleop.errors import PeerError
 from teleop.link import Link
 from teleop.messages.messages import Event
 from teleop.messages.topics import COMMAND, EVENT, STATE, TOPICS, Role
-from teleop.recording import replay
+from teleop.recording import replay_to_link
 from teleop.recording import writer as writer_module
 from teleop.recording.reader import RecordedMessage, open_recording, read_columns, read_messages
-from teleop.recording.replay import Player, SenderRewriter, require_present_layout
+from teleop.recording.replay_to_link import Player, SenderRewriter, require_present_layout
 from teleop.recording.scan import RecordingError
 from teleop.recording.writer import GapCounter, RecordConfig, RecordingWriter
 from teleop.runtime.clock import now_ns
@@ -221,7 +221,7 @@ class Wire:
 
 
 def test_a_second_pass_follows_the_first_in_time_and_in_stamps(recording, monkeypatch):
-    monkeypatch.setattr(replay, "_POLL_S", 0.0)  # says at each message where it is
+    monkeypatch.setattr(replay_to_link, "_POLL_S", 0.0)  # says at each message where it is
     path, messages = recording
     wire, shown = Wire(), []
     began_ns = now_ns()

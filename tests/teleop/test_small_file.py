@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from slave.calibration import file as calibration_file
+from slave.calibration import calibration_file
 from slave.config import SlaveConfig
 from teleop.config import strict_yaml
 from teleop.config.loading import load

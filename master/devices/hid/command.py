@@ -24,11 +24,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from master.device import DeviceFault
-from master.devices.hid import drivers, force_signs, search, unsupported
+from master.devices.hid import driver_table, force_signs, search, unsupported
 from master.devices.hid.connection import DeviceConnection
 from master.devices.hid.descriptor import DescriptorError, parse_descriptor
 from master.devices.hid.driver import Controls
-from master.devices.hid.drivers import DRIVERS, AttachedNode
+from master.devices.hid.driver_table import DRIVERS, AttachedNode
 from master.devices.hid.force_signs import ForceSign
 from master.devices.hid.node import Node
 from master.devices.hid.pid import PidConfig
@@ -137,7 +137,10 @@ def main(args: argparse.Namespace) -> int:
         if args.action == "list":
             print("\n".join(format_nodes(search.list_attached_nodes())))
         elif args.action == "rules":
-            print(drivers.format_rules(list_fitting_devices(search.list_attached_nodes())), end="")
+            print(
+                driver_table.format_rules(list_fitting_devices(search.list_attached_nodes())),
+                end="",
+            )
         elif args.action == "probe":
             print("\n".join(probe_device(select_device(args.find), args.seconds or PROBE_S)))
         elif args.action == "dump":

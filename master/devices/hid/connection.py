@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 
 from master.device import DeviceFault
 from master.devices.hid.driver import Controls, HidDriver, Share, build_unknown_controls
-from master.devices.hid.drivers import DRIVERS
+from master.devices.hid.driver_table import DRIVERS
 from master.devices.hid.node import QUEUE_LENGTH, Node
 from master.devices.hid.pid import PidConfig
 from master.devices.hid.search import FoundDevice

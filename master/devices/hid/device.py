@@ -10,7 +10,7 @@ from typing import NamedTuple
 from master.device import Axes, DeviceFault, DeviceLost, HandState
 from master.devices.hid import force_signs, mapping, search
 from master.devices.hid.connection import DeviceConnection
-from master.devices.hid.drivers import INPUTS_ONLY, PID, AttachedNode
+from master.devices.hid.driver_table import INPUTS_ONLY, PID, AttachedNode
 from master.devices.hid.force_signs import ForceSigns
 from master.devices.hid.mapping import HidConfig
 from master.devices.hid.pid import PidConfig, PidDriver

@@ -24,7 +24,7 @@ from master.devices.hid.driver import (
     ReportAccess,
     Share,
 )
-from master.devices.hid.joystick import Inputs
+from master.devices.hid.input_report import InputReportDecoder
 from master.devices.hid.pid_reports import FieldValue, ReportPart, build_layout
 from teleop.config.ranges import RangedConfig, build_ranged_field
 
@@ -70,7 +70,7 @@ class PidDriver:
         except DescriptorError as error:
             raise DriverError(f"its report descriptor cannot be read: {error}") from error
         config = config or PidConfig()
-        self._inputs, self._actuators = Inputs(parsed), ActuatorReports(parsed)
+        self._inputs, self._actuators = InputReportDecoder(parsed), ActuatorReports(parsed)
         self._actuators_begun = ActuatorState()
         self._layout = layout = build_layout(parsed, self._inputs)
         self._on = _build_control_reports(

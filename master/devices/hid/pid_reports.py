@@ -20,7 +20,7 @@ from master.devices.hid.descriptor import (
     write_field,
 )
 from master.devices.hid.driver import DriverError, ReportAccess, Share
-from master.devices.hid.joystick import Inputs
+from master.devices.hid.input_report import InputReportDecoder
 
 FORCE_AXES = {"x": 90.0, "y": 0.0}  # [deg] direction of an effect along the axis, clockwise from -y
 
@@ -101,7 +101,7 @@ def has_pid_collection(descriptor: ReportDescriptor) -> bool:
     )
 
 
-def build_layout(descriptor: ReportDescriptor, inputs: Inputs) -> PidLayout:
+def build_layout(descriptor: ReportDescriptor, inputs: InputReportDecoder) -> PidLayout:
     """Return the layout; `DriverError` lists everything that is missing."""
     if not has_pid_collection(descriptor):
         raise DriverError("no force feedback of the USB PID class")
@@ -168,7 +168,7 @@ def _find_part(descriptor: ReportDescriptor, kind: ReportType, purpose: int) -> 
     return None
 
 
-def _find_force_axes(set_effect: ReportPart, inputs: Inputs) -> tuple[str, ...]:
+def _find_force_axes(set_effect: ReportPart, inputs: InputReportDecoder) -> tuple[str, ...]:
     """Return the axes that effects can act along.
 
     From the axes-enable bits, or else one per direction field.

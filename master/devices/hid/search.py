@@ -11,7 +11,7 @@ from typing import NamedTuple
 from master.device import DeviceFault
 from master.devices.hid import unsupported, wheels
 from master.devices.hid.descriptor import DescriptorError, parse_descriptor
-from master.devices.hid.drivers import DRIVERS, INPUTS_ONLY, PID, AttachedNode
+from master.devices.hid.driver_table import DRIVERS, INPUTS_ONLY, PID, AttachedNode
 from master.devices.hid.force_signs import ForceSignKey
 from master.devices.hid.node import REMEDY, Node, load_hidapi
 from master.devices.hid.pid_reports import has_pid_collection

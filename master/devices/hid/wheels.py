@@ -10,7 +10,7 @@ import struct
 
 from master.devices.hid.descriptor import ReportDescriptor, scale_share
 from master.devices.hid.driver import Controls, DriverError, ReportAccess, Share
-from master.devices.hid.joystick import Inputs
+from master.devices.hid.input_report import InputReportDecoder
 
 LOGITECH_VENDOR = 0x046D
 LOGITECH_PRODUCTS = {
@@ -51,7 +51,7 @@ class LogitechDriver:
     def __init__(self, descriptor: ReportDescriptor, product: int = 0, release: int = 0) -> None:
         formula_force_ex = (product, release) == _FORMULA_FORCE_EX
         self._centre_off = _CENTRE_OFF_EX if formula_force_ex else _CENTRE_OFF
-        inputs = Inputs(descriptor)
+        inputs = InputReportDecoder(descriptor)
         if _STEERING not in inputs.axes:
             raise DriverError("its report descriptor has no steering axis")
         self.axes, self.buttons = inputs.axes, inputs.buttons

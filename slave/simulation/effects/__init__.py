@@ -14,8 +14,8 @@ from slave.simulation.effects.effect import (
     select_tendon_effects,
 )
 from slave.simulation.effects.elasticity import ElasticityEffect, FailureEffect
-from slave.simulation.effects.ends import EndEffect
 from slave.simulation.effects.friction import FrictionEffect
+from slave.simulation.effects.joint import EndEffect
 from slave.simulation.effects.sensors import MeasurementEffect
 
 __all__ = ["Effect", "EffectConfig", "TendonEffect", "compute_knobs", "select_tendon_effects"]

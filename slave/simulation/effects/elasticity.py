@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from slave.simulation.effects.effect import TendonEffect
-from slave.simulation.effects.ends import SideEffect
+from slave.simulation.effects.joint import SideEffect
 from slave.simulation.joint import Tendon
 from slave.simulation.tendon import Knobs
 from teleop.config.ranges import build_ranged_field

@@ -15,7 +15,7 @@ from slave.simulation.effects.effect import (
     compute_knobs,
     select_tendon_effects,
 )
-from slave.simulation.effects.ends import JointEffect
+from slave.simulation.effects.joint import JointEffect
 from slave.simulation.effects.sensors import LostSamples, SampleEffect, SensorEffect
 from slave.simulation.joint import Joint
 from slave.simulation.sensors import Sensors

@@ -13,8 +13,8 @@ those of an answer within the tick, from reading the device (docs/explanation/co
 import argparse
 from pathlib import Path
 
-from teleop.cli.bench import runs
-from teleop.cli.bench.figures import Row
+from teleop.cli.bench import repeated_runs
+from teleop.cli.bench.metric import Row
 from teleop.cli.bench.ping_pong import PERIOD_S, measure_ping_pong
 from teleop.cli.bench.session import run_session
 from teleop.errors import TeleopError
@@ -24,13 +24,13 @@ from teleop.session.config import RunConfig
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    runs.add_config(parser)
-    runs.add_arguments(parser)
+    repeated_runs.add_config(parser)
+    repeated_runs.add_arguments(parser)
 
 
 def main(args: argparse.Namespace) -> int:
     """Run the command."""
-    return runs.repeat_measurement("latency", args, measure)
+    return repeated_runs.repeat_measurement("latency", args, measure)
 
 
 def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
@@ -39,11 +39,11 @@ def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
     baseline = measure_baseline_latency(seconds, shared)
     master = summary["master"]
     row: Row = {}
-    for key, text in runs.PERCENTILES.items():
+    for key, text in repeated_runs.PERCENTILES.items():
         latency = master["latency_ms"][key]
         row[f"command to force {text}"] = "ms", latency, baseline[f"{key}_ms"], False
     for stage in STAGE_NAMES:
-        for key, text in list(runs.PERCENTILES.items())[:2]:
+        for key, text in list(repeated_runs.PERCENTILES.items())[:2]:
             row[f"stage {stage} {text}"] = "us", master["stages_us"][stage][key], None, False
     answered = master["stages_us"]["all"]["n"]
     row["answered within the tick"] = "%", 100.0 * answered / master["ticks"], None, True

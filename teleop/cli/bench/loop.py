@@ -14,22 +14,22 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from teleop.cli.bench import runs
+from teleop.cli.bench import repeated_runs
 from teleop.cli.bench.bare_grid import run_idle_loops
-from teleop.cli.bench.figures import Row
+from teleop.cli.bench.metric import Row
 from teleop.cli.bench.session import SIDES, run_session
 from teleop.session.config import RunConfig
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    runs.add_config(parser)
-    runs.add_arguments(parser)
+    repeated_runs.add_config(parser)
+    repeated_runs.add_arguments(parser)
 
 
 def main(args: argparse.Namespace) -> int:
     """Run the command."""
-    return runs.repeat_measurement("loop", args, measure)
+    return repeated_runs.repeat_measurement("loop", args, measure)
 
 
 def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
@@ -44,11 +44,11 @@ def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
         row[f"{side} overruns"] = "", loop["overruns"], base["overruns"], False
         lateness = loop["lateness_max_ms"], base["lateness_max_ms"]
         row[f"{side} latest tick"] = "ms", *lateness, False
-        for key, text in runs.PERCENTILES.items():
+        for key, text in repeated_runs.PERCENTILES.items():
             work = loop["work_us"][key], base["work_us"][key]
             row[f"{side} tick {text}"] = "us", *work, False
         row[f"{side} CPU"] = "%", session.cpu.get(side), base["cpu"], False
-    for key, text in runs.PERCENTILES.items():
+    for key, text in repeated_runs.PERCENTILES.items():
         answer = session.summary["slave"]["answer_us"]
         own_work = session.summary["slave"]["without_rig_us"]
         row[f"slave answer {text}"] = "us", answer[key], None, False

@@ -14,10 +14,10 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from teleop.cli.bench import figures, runs
+from teleop.cli.bench import metric, repeated_runs
 from teleop.cli.bench.bare_grid import run_idle_loops
-from teleop.cli.bench.figures import Row
 from teleop.cli.bench.latency import measure_baseline_latency
+from teleop.cli.bench.metric import Row
 from teleop.cli.bench.session import SIDES, run_session
 from teleop.session.config import RunConfig
 
@@ -35,15 +35,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"numbers of joints to compare, each 1 to 8 (default {' '.join(map(str, JOINTS))})",
     )
-    runs.add_arguments(parser)
+    repeated_runs.add_arguments(parser)
 
 
 def main(args: argparse.Namespace) -> int:
     """Run the command."""
-    numbers = sorted({runs.validate_joints(number) for number in args.joints})
-    repeated = runs.RepeatedRuns("scale", args)
+    numbers = sorted({repeated_runs.validate_joints(number) for number in args.joints})
+    repeated = repeated_runs.RepeatedRuns("scale", args)
     with tempfile.TemporaryDirectory(prefix="teleop-bench-") as folder:
-        configs = {n: runs.write_config(Path(folder) / f"{n}.yaml", n) for n in numbers}
+        configs = {n: repeated_runs.write_config(Path(folder) / f"{n}.yaml", n) for n in numbers}
         repeated.warm_up(configs[numbers[0]])
         rows = []
         for k in range(repeated.runs):
@@ -54,7 +54,7 @@ def main(args: argparse.Namespace) -> int:
                     f"{n}: {key}": part for key, part in measure(config, repeated.seconds).items()
                 }
             rows.append(row)
-    return repeated.conclude(figures.collect_metrics(rows))
+    return repeated.conclude(metric.collect_metrics(rows))
 
 
 def measure(config: Path, seconds: float) -> Row:

@@ -18,9 +18,9 @@ from slave.config import SlaveConfig, load_tendon_configs
 from teleop.cli import estimate
 from teleop.cli.html_page import Page, to_json_values
 from teleop.config.loading import load
-from teleop.data.channel_names import ANCHOR_TENSION, JOINT_ANGLE, Columns, format_numbered_name
-from teleop.data.mapping import load_mapping
-from teleop.data.table import MeasuredTable, read_tables
+from teleop.data.mapping_file import load_mapping
+from teleop.data.measured_table import MeasuredTable, read_tables
+from teleop.data.standard_columns import ANCHOR_TENSION, JOINT_ANGLE, Columns, format_numbered_name
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder
 from teleop.runtime.process import write_summary, write_text_file

@@ -19,15 +19,15 @@ from teleop.cli.diagnose import json_report
 from teleop.cli.diagnose.json_report import ComparedParameter
 from teleop.config.suggestions import suggest_spelling
 from teleop.data import model_file
-from teleop.data.channel_names import to_channel
 from teleop.data.effect_extensions import is_extension, load_effects
-from teleop.data.mapping import NamedColumns, TableMapping, load_mapping, parse_column_options
+from teleop.data.mapping_file import NamedColumns, TableMapping, load_mapping, parse_column_options
+from teleop.data.measured_table import MeasuredTable, read_runs
 from teleop.data.reading import Reading
-from teleop.data.table import MeasuredTable, read_runs
+from teleop.data.standard_columns import to_channel
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder
 from teleop.runtime.process import write_summary, write_text_file
-from teleop.view.series import PlotCurve, PlotPanel, save
+from teleop.view.analysis_curves import PlotCurve, PlotPanel, save
 
 # --- parsers of options
 

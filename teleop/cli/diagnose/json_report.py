@@ -25,7 +25,7 @@ from estimator.effects.effect import Parameter, Values
 from estimator.law.sheath import Sheath
 from estimator.report_table import Table
 from estimator.units import Units, format_quantity
-from slave.calibration import file
+from slave.calibration import calibration_file
 from teleop.cli.html_page import to_json_values
 from teleop.errors import UsageError
 
@@ -44,7 +44,7 @@ class ComparedParameter(NamedTuple):
 
 def load_sheath(path: Path, tendon: int) -> Sheath:
     """Return the sheath of a tendon, from 0, of a calibration file; a single one is for all."""
-    tendons = file.load(path).tendons
+    tendons = calibration_file.load(path).tendons
     if len(tendons) > 1 and tendon >= len(tendons):
         raise UsageError(f"{path}: has {len(tendons)} tendons, not tendon {tendon + 1}")
     return tendons[tendon if len(tendons) > 1 else 0].build_model().sheath

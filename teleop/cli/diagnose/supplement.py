@@ -24,8 +24,8 @@ from estimator.figure_style import BLACK, BLUE, STYLE, to_svg
 from estimator.report_table import Table
 from estimator.units import Units
 from teleop.cli.html_page import Page
+from teleop.data.measured_table import write_table
 from teleop.data.raw_table import Column
-from teleop.data.table import write_table
 from teleop.runtime.output_file import replace_file
 from teleop.runtime.process import write_text_file
 

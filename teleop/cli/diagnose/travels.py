@@ -14,7 +14,7 @@ from estimator.fitting import IntervalEstimate
 from estimator.report_table import Table
 from estimator.units import format_quantity
 from teleop.cli.html_page import Page, to_json_values
-from teleop.data.table import MeasuredTable
+from teleop.data.measured_table import MeasuredTable
 from teleop.errors import UsageError
 from teleop.runtime.process import write_summary, write_text_file
 

@@ -12,7 +12,7 @@ from estimator.calibration.calibration import (
 )
 from estimator.law.sheath import Section, Sheath
 from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
-from studies.brute.chain import Chain, Force, Position, Spring
+from studies.brute_force.chain import Chain, Force, Position, Spring
 
 HELD = Position(0.0)
 COUNT = 2.0 * math.pi * 0.010 / 67_000  # [m] of the encoder

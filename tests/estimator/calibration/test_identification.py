@@ -6,7 +6,7 @@ import pytest
 
 from estimator.calibration.identification import IdentificationError, fit_bench, fit_blocked_tip
 from estimator.law.sheath import Sheath
-from studies.brute.chain import Chain, Force, Position
+from studies.brute_force.chain import Chain, Force, Position
 
 ROOT = os.environ.get("TELEOP_SHARED_DATA")
 DATA = Path(ROOT) if ROOT else Path(__file__).resolve().parents[4] / "shared" / "data"

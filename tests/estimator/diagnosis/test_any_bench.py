@@ -11,13 +11,13 @@ from estimator.diagnosis.validation import transfer_to_validation
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import CHANNELS
 from estimator.measured_data import Samples
-from studies import hidden
+from studies import hidden_effects
 
 
 @pytest.fixture(scope="module")
 def clean():
     """A record without effects, of a tip that pulls a spring."""
-    return hidden.make(5, (), bench="spring", duration=30.0, rate=50.0)
+    return hidden_effects.make(5, (), bench="spring", duration=30.0, rate=50.0)
 
 
 def samples(record, **off):
@@ -27,7 +27,7 @@ def samples(record, **off):
 
 
 def test_encoders_count_from_anywhere():
-    made = hidden.make(6, ("encoder_scale",), bench="spring", duration=20.0, rate=50.0)
+    made = hidden_effects.make(6, ("encoder_scale",), bench="spring", duration=20.0, rate=50.0)
     off = {"proximal_displacement": 1.0, "distal_displacement": 2.0}
     tried = [one for one in CATALOGUE if one.name in ("encoder_scale", "creep", "viscous_friction")]
     found = diagnose(samples(made, **off), effects=tried)
@@ -62,7 +62,7 @@ def test_samples_held_by_a_slow_sensor_do_not_count(clean):
 
 @pytest.mark.slow
 def test_a_clock_at_the_tip_that_is_early_is_named():
-    made = hidden.make(5, (), bench="spring", duration=30.0, rate=100.0)
+    made = hidden_effects.make(5, (), bench="spring", duration=30.0, rate=100.0)
     early = {
         name: np.interp(made.time + 0.08, made.time, signal) if "distal" in name else signal
         for name, signal in made.channels.items()

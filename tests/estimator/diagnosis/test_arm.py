@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.arm_report import format_arm_summary
-from studies.hidden import arms
-from studies.hidden.arms import Change, Shape
+from studies.hidden_effects import arms
+from studies.hidden_effects.arms import Change, Shape
 
 SHAPE = Shape(((0.005, 0.0), (-0.004, 0.005)), friction=0.15, wrap=0.5)
 

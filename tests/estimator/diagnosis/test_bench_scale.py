@@ -1,6 +1,6 @@
 """Benches of any size: forces and travels multiplied, the answer is the same.
 
-Records are those of the hidden benches (studies.hidden), which know nothing of a scale.
+Records are those of the hidden benches (studies.hidden_effects), which know nothing of a scale.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ from estimator.effects.effect import CHANNELS
 from estimator.effects.sensors import PULLEY_ECCENTRICITY
 from estimator.measured_data import Samples
 from estimator.units import LINEAR, ROTARY
-from studies import hidden
+from studies import hidden_effects
 
 
 def multiplied(made, force, travel, units=LINEAR):
@@ -37,7 +37,7 @@ def multiplied(made, force, travel, units=LINEAR):
     ],
 )
 def test_a_bench_of_another_size_has_its_cause_and_its_numbers(size):
-    made = hidden.make(3, ("presliding",), bench="spring", duration=12.0, rate=40.0)
+    made = hidden_effects.make(3, ("presliding",), bench="spring", duration=12.0, rate=40.0)
     tried = [one for one in CATALOGUE if one.name == "presliding"]
     data = multiplied(made, *size)
     signals = {name: getattr(data, name) for name in CHANNELS}
@@ -55,7 +55,7 @@ def test_a_bench_of_another_size_has_its_cause_and_its_numbers(size):
 
 def test_a_pulley_is_fitted_that_turns_often():
     turns = 8.0
-    made = hidden.make(3, (), bench="spring", duration=20.0, rate=40.0)
+    made = hidden_effects.make(3, (), bench="spring", duration=20.0, rate=40.0)
     travel = made.channels["proximal_displacement"]
     true = np.ptp(travel) / (2.0 * np.pi * turns)
     wave = 0.1 * true * np.sin(travel / true + 0.5)

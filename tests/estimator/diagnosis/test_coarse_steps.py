@@ -17,7 +17,7 @@ from estimator.diagnosis.record import prepare_record
 from estimator.diagnosis.scoring import Choice
 from estimator.diagnosis.settings import TimeBudget
 from estimator.effects import CATALOGUE
-from studies import hidden
+from studies import hidden_effects
 
 
 def effect(name):
@@ -26,7 +26,7 @@ def effect(name):
 
 @pytest.fixture(scope="module")
 def bench():
-    made = hidden.make(7, ("viscous_friction",), bench="spring", duration=30.0, rate=100.0)
+    made = hidden_effects.make(7, ("viscous_friction",), bench="spring", duration=30.0, rate=100.0)
     return build_dataset([prepare_record(made.time, dict(made.channels))])
 
 
@@ -91,7 +91,7 @@ def test_the_time_of_a_search_goes_by_samples_whatever_is_remembered(bench, law)
 
 
 def test_the_search_ends_early_where_no_first_fit_makes_a_tendon_of_the_data(monkeypatch):
-    made = hidden.make(23, (), duration=12.0, rate=50.0)
+    made = hidden_effects.make(23, (), duration=12.0, rate=50.0)
     drawn = np.random.default_rng(1).uniform(2.0, 20.0, 40)
     signals = {
         "proximal_displacement": made.channels["proximal_displacement"],

@@ -9,14 +9,14 @@ from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import RecordError, prepare_record
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects import CATALOGUE, NAMES
-from studies import hidden
+from studies import hidden_effects
 
 TWO = ("proximal_tension", "distal_tension")
 FEW = {"creep", "joint_friction", "constant_drag", "encoder_scale", "viscous_friction"}
 
 
-def diagnosed(seed, hide, bench, channels=hidden.CHANNELS, among=NAMES):
-    made = hidden.make(seed, hide, bench=bench, channels=channels, duration=30.0, rate=50.0)
+def diagnosed(seed, hide, bench, channels=hidden_effects.CHANNELS, among=NAMES):
+    made = hidden_effects.make(seed, hide, bench=bench, channels=channels, duration=30.0, rate=50.0)
     effects = [effect for effect in CATALOGUE if effect.name in among]
     return made, diagnose_records(
         [prepare_record(made.time, dict(made.channels))], effects, workers=2
@@ -25,7 +25,10 @@ def diagnosed(seed, hide, bench, channels=hidden.CHANNELS, among=NAMES):
 
 def test_every_effect_is_hidden_somewhere():
     assert len(NAMES) == 35
-    assert set(NAMES) == {*hidden.EFFECTS, "distributed_play"}  # test_distributed_play hides it
+    assert set(NAMES) == {
+        *hidden_effects.EFFECTS,
+        "distributed_play",
+    }  # test_distributed_play hides it
 
 
 def test_a_hidden_effect_is_named():
@@ -42,13 +45,13 @@ def test_a_hidden_effect_is_named():
 @pytest.mark.parametrize(
     ("bench", "begin", "channels"),
     [
-        ("blocked", 2.66, hidden.CHANNELS),
-        pytest.param("spring", 18.36, hidden.CHANNELS, marks=pytest.mark.slow),
+        ("blocked", 2.66, hidden_effects.CHANNELS),
+        pytest.param("spring", 18.36, hidden_effects.CHANNELS, marks=pytest.mark.slow),
         pytest.param("blocked", 2.66, TWO, marks=pytest.mark.slow),
     ],
 )
 def test_a_record_that_begins_in_the_midst_of_motion_says_so(bench, begin, channels):
-    made = hidden.make(5, (), bench=bench, duration=40.0, rate=50.0)
+    made = hidden_effects.make(5, (), bench=bench, duration=40.0, rate=50.0)
     rest = made.time >= begin
     cut = {name: made.channels[name][rest] for name in channels}
     effects = [effect for effect in CATALOGUE if effect.name in {"pretension", "creep", "slack"}]
@@ -109,7 +112,8 @@ def test_another_record_of_the_bench_is_predicted_with_what_was_found():
     first, second = (
         prepare_record(made.time, dict(made.channels))
         for made in (
-            hidden.make(8, "distal_tension_gain", duration=d, rate=50.0) for d in (30.0, 24.0)
+            hidden_effects.make(8, "distal_tension_gain", duration=d, rate=50.0)
+            for d in (30.0, 24.0)
         )
     )
     effects = [effect for effect in CATALOGUE if effect.name == "distal_tension_gain"]
@@ -189,7 +193,9 @@ def test_what_few_samples_have_of_a_fast_motion_is_no_noise_and_its_turns_are_fo
 def test_a_slip_while_the_tendon_slides_is_not_taken_for_a_tip_that_moved():
     """With the tip blocked and not measured, both look the same but for the step of the reading."""
     how = {"duration": 40.0, "rate": 50.0, "travel_noise": 5e-7}
-    made = hidden.make(41, "encoder_slip", bench="blocked", channels=hidden.CHANNELS[:3], **how)
+    made = hidden_effects.make(
+        41, "encoder_slip", bench="blocked", channels=hidden_effects.CHANNELS[:3], **how
+    )
     effects = [effect for effect in CATALOGUE if effect.name in {"encoder_slip", "tip_moved"}]
     found = diagnose_records([prepare_record(made.time, dict(made.channels))], effects)
     assert found.causes == ("encoder_slip",)

@@ -14,9 +14,9 @@ from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import prepare_record
 from estimator.effects import CATALOGUE, NAMES
 from estimator.effects.functions import build_functions
-from studies import hidden
-from studies.hidden.campaign import Case, judge
-from studies.hidden.play_grid import make_grid
+from studies import hidden_effects
+from studies.hidden_effects.campaign import Case, judge
+from studies.hidden_effects.play_grid import make_grid
 
 pytestmark = pytest.mark.slow
 
@@ -31,12 +31,12 @@ def _case(seed, effects, bench):
 
 def _twice(name):
     """Return an effect on both benches, or on the one that has it from two seeds."""
-    benches = hidden.VISIBLE[name]
+    benches = hidden_effects.VISIBLE[name]
     pairs = [(11, benches[0]), (12, benches[-1])]
     return [_case(seed, (name,), bench) for seed, bench in pairs]
 
 
-SINGLE = [case for name in hidden.EFFECTS for case in _twice(name)]
+SINGLE = [case for name in hidden_effects.EFFECTS for case in _twice(name)]
 CLEAN = [_case(seed, (), bench) for seed in (21,) for bench in ("blocked", "spring")]
 OUTSIDE = [  # of friction that wanders tells test_diagnosis
     _case(31, (f"outside:{name}",), "spring")
@@ -68,8 +68,8 @@ NOISY = [  # white noise on both travels: 0.4 N behind a reversal
 ]
 NOISY_EFFECTS = [
     Case(63, (name,), 1.0, "spring", 40.0, 100.0, 5e-7)
-    for name in hidden.EFFECTS
-    if "spring" in hidden.VISIBLE[name]
+    for name in hidden_effects.EFFECTS
+    if "spring" in hidden_effects.VISIBLE[name]
 ]
 GRID = [(1, "blocked", 100.0, 5e-6), (2, "spring", 50.0, 1e-6), (3, "blocked", 500.0, 5e-7)]
 

@@ -8,7 +8,7 @@ from estimator.diagnosis.api import diagnose_records
 from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import prepare_record
 from estimator.effects import CATALOGUE
-from studies import hidden
+from studies import hidden_effects
 from teleop.data import model_file
 
 FAULT, TWO = "distal_tension_gain", ("proximal_tension", "distal_tension")
@@ -18,7 +18,7 @@ AMONG = [effect for effect in CATALOGUE if effect.name in {FAULT, "constant_drag
 def make_records(faults, seed=8):
     """Records of one bench, the same motion at different speeds, with a fault each or none."""
     made = (
-        hidden.make(seed, fault or (), 2.5, "spring", duration=duration, rate=25.0)
+        hidden_effects.make(seed, fault or (), 2.5, "spring", duration=duration, rate=25.0)
         for fault, duration in zip(faults, (12.0, 10.0, 14.0), strict=False)
     )
     return [prepare_record(one.time, {name: one.channels[name] for name in TWO}) for one in made]
@@ -35,7 +35,7 @@ def test_the_cause_is_named_with_its_file(found):
     assert (step.effect.name, step.effect.file) == (FAULT, 2)
     assert f"{FAULT} (in file 2): gain" in report_text.format_verdict(found)
     assert "File 2 is b.csv" in report_text.format_summary(found, ("a.csv", "b.csv", "c.csv"))
-    truth = hidden.make(8, FAULT, 2.5, "spring", duration=10.0, rate=25.0).truth
+    truth = hidden_effects.make(8, FAULT, 2.5, "spring", duration=10.0, rate=25.0).truth
     (name,) = (p.name for p in step.effect.parameters)
     (value,) = truth[FAULT].values()
     number = found.parameters[f"{FAULT}.{name}"]

@@ -31,7 +31,7 @@ from estimator.effects.functions import (
     evaluate_function,
     find_function,
 )
-from studies import hidden
+from studies import hidden_effects
 
 FUNCTIONS = ("friction_by_position", "friction_by_rest_time", "elongation_by_tension")
 CAUSES = ("constant_drag", "viscous_friction")
@@ -39,7 +39,9 @@ CAUSES = ("constant_drag", "viscous_friction")
 
 def searched(name, seed, bench, function, travel_noise=0.0):
     """Return what a search finds on the plain law, and what that leaves of the error."""
-    made = hidden.make(seed, name, bench=bench, duration=30.0, rate=50.0, travel_noise=travel_noise)
+    made = hidden_effects.make(
+        seed, name, bench=bench, duration=30.0, rate=50.0, travel_noise=travel_noise
+    )
     dataset = build_dataset([prepare_record(made.time, dict(made.channels))])
     law = Choice(dataset, fit_baseline(dataset), ())
     effects = [effect for effect in CATALOGUE if effect.name in {*CAUSES, name}]
@@ -51,7 +53,7 @@ def searched(name, seed, bench, function, travel_noise=0.0):
 
 def test_the_variable_and_its_curve_are_found():
     name = "outside:friction_over_position"
-    made = hidden.make(21, name, bench="blocked", duration=30.0, rate=50.0)
+    made = hidden_effects.make(21, name, bench="blocked", duration=30.0, rate=50.0)
     record = prepare_record(made.time, dict(made.channels), variables=made.variables)
     effects = [effect for effect in CATALOGUE if effect.name in CAUSES]
     found = diagnose_records([record], [*effects, *map(find_function, FUNCTIONS)])
@@ -59,7 +61,7 @@ def test_the_variable_and_its_curve_are_found():
     assert found.causes == ("friction_by_position",)
     assert found.residual_fraction < 0.1
     curve, truth = found.curve, made.truth[name]
-    true = hidden.courses.on_curve(**truth, share=np.linspace(0.0, 1.0, len(curve.x)))
+    true = hidden_effects.free_curves.on_curve(**truth, share=np.linspace(0.0, 1.0, len(curve.x)))
     true = (1.0 + true) / (1.0 + np.median(true)) - 1.0
     inner = slice(10, -10)
     assert np.corrcoef(curve.value[inner], true[inner])[0, 1] > 0.95
@@ -195,7 +197,7 @@ def test_no_reading_depends_on_itself_as_measured():
 
 
 def test_a_further_column_that_is_not_there_is_refused():
-    made = hidden.make(22, (), duration=10.0, rate=50.0)
+    made = hidden_effects.make(22, (), duration=10.0, rate=50.0)
     data = SimpleNamespace(time=made.time, **made.channels, extra={"humidity_percent": made.time})
     with pytest.raises(RecordError, match="temperature: no such further column; there are hum"):
         diagnose(data, variables=["temperature"])
@@ -206,7 +208,7 @@ def test_a_further_column_that_is_not_there_is_refused():
 
 
 def test_functions_of_data_of_no_tendon_are_given_up_after_the_first_fits():
-    made = hidden.make(23, (), duration=20.0, rate=50.0)
+    made = hidden_effects.make(23, (), duration=20.0, rate=50.0)
     drawn = np.random.default_rng(1).uniform(2.0, 20.0, 40)
     tension = np.interp(made.time, np.linspace(0.0, 20.0, 40), drawn)
     signals = {"proximal_displacement": made.channels["proximal_displacement"]}
@@ -217,7 +219,7 @@ def test_functions_of_data_of_no_tendon_are_given_up_after_the_first_fits():
 
 
 def test_a_function_is_fitted_to_no_more_samples_of_a_long_record(monkeypatch):
-    made = hidden.make(21, "outside:friction_over_position", duration=10.0, rate=300.0)
+    made = hidden_effects.make(21, "outside:friction_over_position", duration=10.0, rate=300.0)
     sizes = []
 
     def fit(dataset, *others):

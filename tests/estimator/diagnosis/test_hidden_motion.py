@@ -9,8 +9,8 @@ from estimator.diagnosis.fit import refit_baseline
 from estimator.diagnosis.hidden_motion import propagate_driver_noise, recover_hidden_motion
 from estimator.diagnosis.record import prepare_record
 from estimator.diagnosis.scoring import compute_errors
-from studies import hidden
-from studies.hidden.play_grid import make_grid
+from studies import hidden_effects
+from studies.hidden_effects.play_grid import make_grid
 
 TENSION, TRAVEL = "proximal_tension", "proximal_displacement"
 
@@ -36,7 +36,9 @@ def excess(record):
 def test_a_turn_that_smoothing_took_away_is_found_in_a_few_samples():
     """The motor overshoots by 2 um and rests for seconds, a newton below what the travel tells."""
     seed = 63
-    made = hidden.make(seed, (), bench="spring", duration=40.0, rate=100.0, travel_noise=5e-7)
+    made = hidden_effects.make(
+        seed, (), bench="spring", duration=40.0, rate=100.0, travel_noise=5e-7
+    )
     before, after = before_and_after(made.time, made.channels)
     assert 0 < (before.valid[TENSION] & ~after.valid[TENSION]).sum() < 80
     assert max(excess(after)) < 1.4

@@ -14,7 +14,7 @@ from estimator.diagnosis.learned import CORRECTED, compute_learned_gains, fit_le
 from estimator.diagnosis.record import prepare_record
 from estimator.diagnosis.scoring import compute_errors, join_errors
 from estimator.diagnosis.validation import Fold, fit_folds
-from studies import hidden
+from studies import hidden_effects
 
 CHANNELS = ("proximal_tension", "proximal_displacement", "distal_tension")
 
@@ -25,7 +25,7 @@ def without_learning():
 
 
 def record_with(effects):
-    made = hidden.make(
+    made = hidden_effects.make(
         21, effects, bench="blocked", channels=CHANNELS, duration=30.0, rate=50.0, travel_noise=5e-7
     )
     return prepare_record(made.time, dict(made.channels))

@@ -1,7 +1,7 @@
 """Transmissions besides a tendon whose motor travel is known: loops, torque and angle.
 
 Data of loops are made by masses, springs and bristles in time
-(`studies.hidden.loop`), which share nothing with the estimator.
+(`studies.hidden_effects.loop`), which share nothing with the estimator.
 """
 
 import numpy as np
@@ -14,8 +14,8 @@ from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import RecordError
 from estimator.measured_data import Samples
 from estimator.units import ROTARY
-from studies import hidden
-from studies.hidden.loop import Loop, motion, run
+from studies import hidden_effects
+from studies.hidden_effects.loop import Loop, motion, run
 
 ANGLE_NOISE = 5e-5  # [rad]
 TORQUE_NOISE = 0.002  # of the range
@@ -93,7 +93,7 @@ def test_torque_of_one_sign_is_that_of_one_cable():
 
 def test_tension_and_the_tips_travel_are_enough():
     channels = ("proximal_tension", "distal_displacement")
-    made = hidden.make(3, (), bench="spring", channels=channels, duration=30.0, rate=50.0)
+    made = hidden_effects.make(3, (), bench="spring", channels=channels, duration=30.0, rate=50.0)
     tension, tip = (made.channels[name] for name in channels)
     found = diagnose(Samples(made.time, tension, None, None, tip), effects=[])
     assert found.verdict is Verdict.CLEAN

@@ -6,7 +6,7 @@ import pytest
 import estimator as est
 from estimator.diagnosis.record import RecordError, prepare_record
 from estimator.measured_data import Samples
-from studies import hidden
+from studies import hidden_effects
 
 LOST = slice(600, 650)  # 1 s
 Q, T_IN, T_OUT = "proximal_displacement", "proximal_tension", "distal_tension"
@@ -15,7 +15,7 @@ Q, T_IN, T_OUT = "proximal_displacement", "proximal_tension", "distal_tension"
 @pytest.fixture(scope="module")
 def whole():
     """A record without effects, of a tip that pulls a spring."""
-    return hidden.make(5, (), bench="spring", duration=30.0, rate=50.0)
+    return hidden_effects.make(5, (), bench="spring", duration=30.0, rate=50.0)
 
 
 def without(data, channel, rows):

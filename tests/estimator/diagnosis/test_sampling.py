@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.record import prepare_record
-from studies import hidden
+from studies import hidden_effects
 
 EVERY = 10  # samples of the simulation from one of the record to the next
 PERIOD = 0.02  # [s]
@@ -15,7 +15,9 @@ TENSION_NOISE, TRAVEL_NOISE = 0.02, 2e-7  # [N], [m]
 def fine():
     """A record without effects and without noise, at 500 Hz."""
     rate = EVERY / PERIOD
-    return hidden.make(6, (), bench="blocked", duration=30.0, rate=rate, noise=0.0, resolution=0.0)
+    return hidden_effects.make(
+        6, (), bench="blocked", duration=30.0, rate=rate, noise=0.0, resolution=0.0
+    )
 
 
 def sampled(fine, rows, seed=1):

@@ -8,7 +8,7 @@ from estimator.diagnosis.api import diagnose_records
 from estimator.diagnosis.baseline import fit_simple_models
 from estimator.diagnosis.dataset import build_dataset
 from estimator.diagnosis.record import prepare_record
-from studies import hidden
+from studies import hidden_effects
 
 NOISE = 0.01  # [N]
 
@@ -65,7 +65,7 @@ def test_lugre_is_found():
 
 
 def test_on_a_clean_bench_the_law_is_better_than_any():
-    made = hidden.make(71, (), bench="spring", duration=30.0, rate=40.0)
+    made = hidden_effects.make(71, (), bench="spring", duration=30.0, rate=40.0)
     found = diagnose_records([prepare_record(made.time, dict(made.channels))], ())
     assert report_text.list_model_warnings(found) == []
     for channel in ("proximal_tension", "distal_tension"):

@@ -7,9 +7,9 @@ from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import RecordError
 from estimator.diagnosis.travel_diagnosis import diagnose_travels
 from estimator.measured_data import Samples
-from studies import hidden
+from studies import hidden_effects
 from teleop.cli import commands
-from teleop.data.table import write_table
+from teleop.data.measured_table import write_table
 
 RNG = np.random.default_rng(3)
 TIME = np.arange(1500) * 0.02
@@ -22,7 +22,9 @@ def pair(q_p, q_d, noise=2e-6, time=TIME):
 
 
 def bench(effects=()):
-    made = hidden.make(6, effects, bench="spring", duration=30.0, rate=50.0, travel_noise=2e-6)
+    made = hidden_effects.make(
+        6, effects, bench="spring", duration=30.0, rate=50.0, travel_noise=2e-6
+    )
     q_p, q_d = (made.channels[f"{end}_displacement"] for end in ("proximal", "distal"))
     return made.truth["sheath"], pair(q_p, q_d, 0.0, made.time)
 

@@ -27,7 +27,7 @@ from estimator.law.transmission import (
     read_profile,
     simulate_tensions,
 )
-from studies.brute.chain import Chain, Force, Position, Spring
+from studies.brute_force.chain import Chain, Force, Position, Spring
 from tests.estimator.law.bounds import certified_interval, envelope
 
 MU, EA = 0.1, 9000.0

@@ -7,7 +7,7 @@ from estimator.lumped.loop_model import simulate_loop
 from estimator.lumped.loop_solver import WORK_ROWS, Line, solve_balance
 from estimator.lumped.lumped_model import Physics
 from estimator.lumped.nodes import NODES, build_even_weights
-from studies.hidden.loop import Loop, motion, run
+from studies.hidden_effects.loop import Loop, motion, run
 
 TIME = np.arange(800) / 50.0
 TRAVEL = 3e-3 * np.sin(TIME) * np.cos(0.23 * TIME)

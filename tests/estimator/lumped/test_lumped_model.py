@@ -7,7 +7,7 @@ from estimator.law.sheath import Sheath
 from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
 from estimator.lumped.lumped_model import Physics, simulate_by_tension, simulate_by_travel
 from estimator.lumped.nodes import PLACES, build_even_weights
-from studies.brute.chain import Chain, Force, Position, Spring
+from studies.brute_force.chain import Chain, Force, Position, Spring
 
 K, LENGTH, EA = 0.9, 1.5, 9e3
 SECTIONS = [(LENGTH, 0.15 * LENGTH / K)]

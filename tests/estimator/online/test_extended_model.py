@@ -25,7 +25,7 @@ from estimator.online.reading_correction import (
     build_corrections,
     correct_reading,
 )
-from studies import hidden
+from studies import hidden_effects
 
 NOISE, STEP = 0.02, 1.2e-7  # [N], [m] of the hidden sensors
 SEED, SECONDS = 1, 20.0
@@ -77,7 +77,7 @@ def models(truth, name, softness=None):
 
 @cache
 def bench(name, kind):
-    return hidden.make(SEED, name, bench=kind, duration=SECONDS, rate=100.0)
+    return hidden_effects.make(SEED, name, bench=kind, duration=SECONDS, rate=100.0)
 
 
 def estimated(model, data):

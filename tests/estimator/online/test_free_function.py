@@ -16,7 +16,7 @@ from estimator.online.dynamic_correction import FunctionConstants, FunctionState
 from estimator.online.extended_model import EffectUse, build_extended_model, explain_omission
 from estimator.online.tendon_estimate import TIP_MOVED
 from estimator.online.tendon_model import TendonModel
-from studies import hidden
+from studies import hidden_effects
 
 NOISE, STEP, SECONDS = 0.02, 1.2e-7, 20.0
 HIDDEN = {
@@ -27,7 +27,7 @@ HIDDEN = {
 
 @cache
 def make(seed, effects=()):
-    return hidden.make(seed, effects, duration=SECONDS, rate=100.0)
+    return hidden_effects.make(seed, effects, duration=SECONDS, rate=100.0)
 
 
 def fitted(name, x, f):
@@ -64,7 +64,7 @@ def test_the_force_is_right_with_the_function_and_inside_its_interval(name, seed
     channel = "proximal_displacement" if "position" in name else "proximal_tension"
     x = data.channels[channel]
     share = (x - x.min()) / np.ptp(x) if "position" in name else x / x.max()
-    pair = fitted(name, x, hidden.courses.on_curve(**truth, share=share))
+    pair = fitted(name, x, hidden_effects.free_curves.on_curve(**truth, share=share))
     more, _ = built(data, pair)
     assert rms_error(more, data) < 0.5 * rms_error(built(data, None)[0], data)
     found, tip = estimated(more, data), data.channels["distal_tension"]
@@ -74,7 +74,7 @@ def test_the_force_is_right_with_the_function_and_inside_its_interval(name, seed
 @pytest.mark.parametrize(("seed", "bench"), [(515, "blocked"), (603, "spring")])
 def test_tension_that_falls_behind_a_rough_spot_is_no_motion_of_the_tip(seed, bench):
     how = {"duration": 30.0, "rate": 50.0, "travel_noise": 5e-7}
-    data = hidden.make(seed, "outside:rough_spot", bench=bench, **how)
+    data = hidden_effects.make(seed, "outside:rough_spot", bench=bench, **how)
     x = data.channels["proximal_displacement"]
     more, _ = built(data, fitted("friction_by_position", x, data.friction - 1.0))
     assert not (estimated(more, data).status & TIP_MOVED).any()

@@ -10,7 +10,7 @@ from estimator.law.transmission import Phase, build_slack_profile, build_tables,
 from estimator.online import online
 from estimator.online.online import Status, TendonEstimate, TendonModel
 from estimator.structs import view_struct
-from studies.brute.chain import Chain, Force, Position
+from studies.brute_force.chain import Chain, Force, Position
 from tests.estimator.law.bounds import envelope
 from tests.estimator.scenarios import HIDDEN, RATE, SCENARIOS, held, play, random_legs, spring
 

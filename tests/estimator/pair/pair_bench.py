@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from estimator.pair.pair_model import PairRecord
-from studies.brute.chain import Chain, Force, Position
+from studies.brute_force.chain import Chain, Force, Position
 
 PULLEY = 0.008  # [m], not the one that the estimator takes
 LENGTH = 1.0  # [m]

@@ -20,7 +20,7 @@ from estimator.routing.sheath_end import (
     start_sheath_end,
 )
 from estimator.structs import view_struct
-from studies.brute.chain import Chain, Force, Position
+from studies.brute_force.chain import Chain, Force, Position
 
 SHEATH = Sheath((Section(0.3), Section(0.5, 0.25), Section(0.1)), 0.12, 9000.0)
 TABLES, PRETENSION, DT = build_tables(SHEATH), 2.0, 1e-3

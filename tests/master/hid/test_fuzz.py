@@ -18,7 +18,8 @@ from master.devices.hid.descriptor import (
 )
 from master.devices.hid.driver import DriverError, build_unknown_controls
 from master.devices.hid.dualsense import DualSenseDriver
-from master.devices.hid.joystick import Inputs, SpaceMouseDriver
+from master.devices.hid.input_report import InputReportDecoder
+from master.devices.hid.joystick import SpaceMouseDriver
 from master.devices.hid.pid import PidConfig, PidDriver
 from master.devices.hid.pid_reports import build_layout
 from master.devices.hid.usages import MAGNITUDE, describe_descriptor
@@ -135,7 +136,9 @@ def push(data, config, device, forces):
         driver.silence()
         return
     descriptor = parse_descriptor(data)
-    field = build_layout(descriptor, Inputs(descriptor)).constant_force.get_field(MAGNITUDE)
+    field = build_layout(descriptor, InputReportDecoder(descriptor)).constant_force.get_field(
+        MAGNITUDE
+    )
     low, high = compute_limits(field)
     for force in forces:
         reports = driver.encode(force[: len(driver.forces)], arm=bool(len(forces) % 2))
@@ -154,7 +157,7 @@ def test_any_bytes(data, reports):
     descriptor = read(data)
     if descriptor is not None:
         check(descriptor)
-        feel(Inputs(descriptor), reports)
+        feel(InputReportDecoder(descriptor), reports)
 
 
 @fuzz
@@ -180,7 +183,7 @@ def test_descriptors_that_are_nearly_right(data, forces, choose):
 )
 def test_right_descriptors_and_any_reports(name, reports, forces, choose):
     data = LAYOUTS[name]
-    feel(Inputs(parse_descriptor(data)), reports)
+    feel(InputReportDecoder(parse_descriptor(data)), reports)
     push(data, None, Whatever(choose), forces)
 
 

@@ -6,13 +6,14 @@ import pytest
 
 from master.devices.hid.descriptor import parse_descriptor
 from master.devices.hid.driver import Controls, build_unknown_controls
-from master.devices.hid.joystick import Inputs, SpaceMouseDriver
+from master.devices.hid.input_report import InputReportDecoder
+from master.devices.hid.joystick import SpaceMouseDriver
 from studies.hid import descriptors as d
 from studies.hid.descriptors import LAYOUTS, arduino, ffbeast_pid, logitech_g29, openffboard, rhino
 
 
 def inputs(data):
-    return Inputs(parse_descriptor(data))
+    return InputReportDecoder(parse_descriptor(data))
 
 
 def test_openffboard_by_its_table():

@@ -7,7 +7,7 @@ import pytest
 from master.device import DeviceFault
 from master.devices.hid.descriptor import parse_descriptor
 from master.devices.hid.driver import DriverError
-from master.devices.hid.joystick import Inputs
+from master.devices.hid.input_report import InputReportDecoder
 from master.devices.hid.pid import PidConfig, PidDriver
 from master.devices.hid.pid_reports import build_layout
 from studies.hid import descriptors as d
@@ -151,7 +151,7 @@ def test_time_is_counted_as_the_device_says():
 
 def layout(data):
     descriptor = parse_descriptor(data)
-    return build_layout(descriptor, Inputs(descriptor))
+    return build_layout(descriptor, InputReportDecoder(descriptor))
 
 
 def joystick(*reports):

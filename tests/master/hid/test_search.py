@@ -5,9 +5,9 @@ import os
 import pytest
 
 from master.device import DeviceFault
-from master.devices.hid import drivers, dualsense, joystick, search, wheels
+from master.devices.hid import driver_table, dualsense, joystick, search, wheels
 from master.devices.hid.device import HidDevice
-from master.devices.hid.drivers import DRIVERS
+from master.devices.hid.driver_table import DRIVERS
 from master.devices.hid.mapping import AxisConfig, HidConfig
 from studies.hid import descriptors
 from studies.hid.virtual.arduino import Arduino
@@ -174,7 +174,7 @@ def test_force_signs_are_of_one_driver_and_one_descriptor(hidraw):
 
 
 def test_there_is_a_rule_for_every_model_that_a_driver_is_for():
-    text = drivers.format_rules()
+    text = driver_table.format_rules()
     models = [(wheels.LOGITECH_VENDOR, product) for product in wheels.LOGITECH_PRODUCTS]
     models += [
         (joystick.SPACEMOUSE_OLD_VENDOR, product) for product in joystick.SPACEMOUSE_OLD_PRODUCTS
@@ -185,7 +185,9 @@ def test_there_is_a_rule_for_every_model_that_a_driver_is_for():
 
 
 def test_one_more_device_is_added_and_a_known_one_is_not_said_twice():
-    text = drivers.format_rules([(0x1234, 0xABCD, "Mine\nRUN+=evil"), (0x1209, 0xFFB0, "again")])
+    text = driver_table.format_rules(
+        [(0x1234, 0xABCD, "Mine\nRUN+=evil"), (0x1209, 0xFFB0, "again")]
+    )
     assert 'ATTRS{idVendor}=="1234", ATTRS{idProduct}=="abcd"' in text
     assert "# Mine RUN+=evil\n" in text
     assert text.count('"ffb0"') == 1

@@ -10,7 +10,7 @@ from master.device import DeviceFault
 from master.devices.hid import command, search, unsupported
 from master.devices.hid.command import OperatorDialogue
 from master.devices.hid.device import HidDevice
-from master.devices.hid.drivers import DRIVERS
+from master.devices.hid.driver_table import DRIVERS
 from master.devices.hid.mapping import AxisConfig, ButtonsConfig, HidConfig
 from studies.hid import descriptors
 from studies.hid.virtual.catalogue import DEVICES

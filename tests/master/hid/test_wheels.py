@@ -7,7 +7,7 @@ import pytest
 
 from master.devices.hid.descriptor import parse_descriptor
 from master.devices.hid.driver import build_unknown_controls
-from master.devices.hid.drivers import DRIVERS, AttachedNode
+from master.devices.hid.driver_table import DRIVERS, AttachedNode
 from master.devices.hid.pid import PidConfig
 from master.devices.hid.wheels import LOGITECH_PRODUCTS, FFBeastDriver, LogitechDriver
 from studies.hid.descriptors import logitech_g29

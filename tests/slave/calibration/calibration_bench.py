@@ -4,7 +4,7 @@ import dataclasses
 from typing import get_args
 
 from slave.calibration.config import InitialiseConfig, KnownSheathConfig
-from slave.calibration.run import ProcedureLimits, generate_fast_ticks, run_procedure
+from slave.calibration.procedure_run import ProcedureLimits, generate_fast_ticks, run_procedure
 from slave.gate import GateConfig
 from slave.rig import RigSample
 from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig

@@ -7,7 +7,7 @@ import pytest
 
 from slave.calibration.analysis import analyse_procedure
 from slave.calibration.config import KnownSheathConfig
-from slave.calibration.run import CalibrationRefused
+from slave.calibration.procedure_run import CalibrationRefused
 from slave.calibration.tendon_identification import (
     PulledTendon,
     build_tendon_calibration,

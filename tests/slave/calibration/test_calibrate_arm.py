@@ -9,10 +9,11 @@ import pytest
 
 from estimator.fitting import MeasuredValue
 from slave.arm_estimate import build_routing
-from slave.calibration import command, file, initialisation, procedure
+from slave.calibration import calibration_file, command, initialisation, procedure
 from slave.calibration.figure import draw_figure
 from slave.calibration.guide_friction import PosturedDrag, fit_guide_friction
 from slave.calibration.posture import plan_stages
+from slave.calibration.procedure_run import CalibrationInterrupted, generate_fast_ticks
 from slave.calibration.procedure_state import (
     JointConstants,
     JointReadings,
@@ -20,7 +21,6 @@ from slave.calibration.procedure_state import (
     ProcedureState,
     StopContact,
 )
-from slave.calibration.run import CalibrationInterrupted, generate_fast_ticks
 from slave.config import SlaveConfig, load_arms
 from slave.simulation.arm import ArmPlantConfig
 from slave.tendon_config import TendonConfig
@@ -206,9 +206,13 @@ def test_an_arm_is_calibrated_with_the_friction_of_its_passed_joint():
 
 def test_a_session_with_the_file_uses_the_friction_of_its_passed_joints(tmp_path):
     path = tmp_path / "arm.yaml"
-    entry = file.GuideFriction(2, file.ValueWithUncertainty(0.21, 0.01), 0.09)
+    entry = calibration_file.GuideFriction(
+        2, calibration_file.ValueWithUncertainty(0.21, 0.01), 0.09
+    )
     tendons = (TendonConfig(effective_friction=0.5),) * 8
-    file.save(path, file.Calibration(rig="bench", tendons=tendons, guides=(entry,)))
+    calibration_file.save(
+        path, calibration_file.Calibration(rig="bench", tendons=tendons, guides=(entry,))
+    )
     arms = (ArmConfig(radii=RADII, friction=0.1, friction_error=0.3),) * 2
     first, second = load_arms(SlaveConfig(calibration=path), arms)
     assert (first.friction, first.friction_error) == ((0.1, 0.21), 0.09)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from slave.calibration import command, file, initialisation, run
+from slave.calibration import calibration_file, command, initialisation, procedure_run
 from slave.calibration.analysis import analyse_procedure
 from slave.calibration.initialisation import initialise
 from slave.config import SlaveConfig, find_not_ready_reason, load_tendon_configs
@@ -56,7 +56,7 @@ def done(tmp_path_factory):
 
 
 def test_it_writes_a_file_of_its_rigs_name_that_fits_the_rig(done):
-    calibration = file.load(done / "bench-calibration.yaml")
+    calibration = calibration_file.load(done / "bench-calibration.yaml")
     assert calibration.joints == ((0, 1), (2, 3))
     assert [d.K.value for d in calibration.directions] == pytest.approx([1, 1, 0.6, 0.6], abs=0.02)
     assert calibration.ranges == pytest.approx([0.006, 0.006], rel=0.03)
@@ -69,12 +69,12 @@ def test_it_writes_a_file_of_its_rigs_name_that_fits_the_rig(done):
 
 @pytest.mark.slow
 def test_one_joint_alone_renews_its_part_of_the_file(done, capsys):
-    before = file.load(done / "bench-calibration.yaml")
+    before = calibration_file.load(done / "bench-calibration.yaml")
     out = done / "copy.yaml"
-    file.save(out, before)
+    calibration_file.save(out, before)
     words = ["--config", done / "rig.yaml", "--set", "slave.rig.seed=5", "--quick", "--out", out]
     assert teleop(*words, "--joint", 2) == 0
-    after = file.load(out)
+    after = calibration_file.load(out)
     assert after.tendons[:2] == before.tendons[:2]
     assert after.tendons[2:] != before.tendons[2:]
     assert len(after.directions) == 4
@@ -133,7 +133,7 @@ def test_a_signal_ends_it_without_a_file(tmp_path, capsys, monkeypatch, number):
     path = config_file(tmp_path, rig_config(SHORT))
 
     def ticks(rate_hz):
-        for tick in run.generate_fast_ticks(rate_hz):
+        for tick in procedure_run.generate_fast_ticks(rate_hz):
             if tick.index == 300:
                 signal.raise_signal(number)
             yield tick
@@ -180,7 +180,7 @@ def test_measured_data_cannot_be_moved(capsys):
 def test_at_the_start_of_a_slave_the_same_is_done_and_the_samples_are_handed_over():
     rig = HousingOnly(rig_config(SHORT))
     config = SlaveConfig(rig=rig_config(SHORT), gate=GATE, initialise=but(KNOWN, at_start=True))
-    found = initialise(rig, config, run.generate_fast_ticks(500.0), 0)
+    found = initialise(rig, config, procedure_run.generate_fast_ticks(500.0), 0)
     assert found.calibration.rig == "bench"
     assert found.calibration.method.endswith("quick form")
     assert len(found.samples) == len(found.record.time)

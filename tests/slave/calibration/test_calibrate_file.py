@@ -4,10 +4,15 @@ from pathlib import Path
 
 import pytest
 
-from slave.calibration import file
-from slave.calibration.file import Calibration, TendonCalibration, ValueWithUncertainty, find_misfit
+from slave.calibration import calibration_file
+from slave.calibration.calibration_file import (
+    Calibration,
+    TendonCalibration,
+    ValueWithUncertainty,
+    find_misfit,
+)
 from slave.config import SlaveConfig, find_not_ready_reason, load_tendon_configs
-from slave.rigs.replayed import ReplayedRigConfig
+from slave.rigs.replayed_data import ReplayedRigConfig
 from slave.sheath_section import SectionConfig
 from slave.tendon_config import TendonConfig
 from teleop.errors import UsageError
@@ -52,12 +57,12 @@ class Rig:
 
 def saved(tmp_path, calibration=WHOLE):
     path = tmp_path / "arm.yaml"
-    file.save(path, calibration)
+    calibration_file.save(path, calibration)
     return path
 
 
 def test_what_is_saved_is_what_is_loaded(tmp_path):
-    assert file.load(saved(tmp_path)) == WHOLE
+    assert calibration_file.load(saved(tmp_path)) == WHOLE
 
 
 def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
@@ -69,7 +74,7 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "write_text", broken)
     with pytest.raises(UsageError, match="the calibration cannot be written: No space left"):
-        file.save(path, replace(WHOLE, rig="other"))
+        calibration_file.save(path, replace(WHOLE, rig="other"))
     assert path.read_text() == before
     assert list(tmp_path.iterdir()) == [path]
 
@@ -87,7 +92,7 @@ def test_what_is_no_calibration_is_said_in_one_line(tmp_path, text, said):
     path = tmp_path / "arm.yaml"
     path.write_text(text)
     with pytest.raises(UsageError, match=said):
-        file.load(path)
+        calibration_file.load(path)
 
 
 @pytest.mark.parametrize(
@@ -153,7 +158,7 @@ def test_measured_data_take_the_calibration_of_any_rig_unless_they_have_a_name(t
 def test_a_config_or_no_file_in_place_of_a_calibration_is_called_what_it_is(tmp_path):
     path = tmp_path / "demo.yaml"
     with pytest.raises(UsageError, match=r"demo\.yaml: cannot read the calibration"):
-        file.load(path)
+        calibration_file.load(path)
     path.write_text("session: demo\nslave: {}\n")
     with pytest.raises(UsageError, match=r"demo\.yaml: is a session config"):
-        file.load(path)
+        calibration_file.load(path)

@@ -13,10 +13,10 @@ from estimator.structs import to_struct, view_struct
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice, MonitorConfig, TendonMonitor
 from slave.config import SlaveConfig, load_tendon_configs
+from slave.rig_layout import EstimatedTendon, build_rig_layout
 from slave.rigs.simulated import SimulatedRig
 from slave.sheath_section import SectionConfig
 from slave.simulation.environment import LoadMotorConfig, TissueConfig
-from slave.tendons import EstimatedTendon, build_rig_layout
 from tests.slave.calibration.calibration_bench import TIGHT_FIRST, effect, joint, rig_config
 
 SETTINGS = MonitorConfig()

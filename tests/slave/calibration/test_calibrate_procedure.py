@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
+from slave.calibration.procedure_run import CalibrationRefused
 from slave.calibration.procedure_state import Phase
-from slave.calibration.run import CalibrationRefused
 from slave.simulation.environment import TissueConfig
 from tests.slave.calibration.calibration_bench import (
     GATE,

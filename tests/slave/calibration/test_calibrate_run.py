@@ -8,8 +8,8 @@ import re
 import numpy as np
 import pytest
 
+from slave.calibration.procedure_run import CalibrationInterrupted, CalibrationRefused
 from slave.calibration.procedure_state import Phase
-from slave.calibration.run import CalibrationInterrupted, CalibrationRefused
 from slave.gate import GateConfig
 from slave.rig import RigFault, RigSample
 from slave.simulation.motor import MotorConfig

@@ -11,8 +11,8 @@ from estimator.structs import to_struct, view_struct
 from slave.calibration import degraded_mode, monitor
 from slave.calibration.degraded_mode import RAMP_S, Degradation
 from slave.calibration.monitor import Advice, MonitorConfig, TendonMonitor
-from slave.control.joint import JointEstimate
-from slave.tendons import EstimatedTendon, build_rig_layout
+from slave.control.joint_estimate import JointEstimate
+from slave.rig_layout import EstimatedTendon, build_rig_layout
 
 CONFIG = to_struct(MonitorConfig(on_demand="degrade"))
 LAYOUT = view_struct(build_rig_layout([(0, 1)]))

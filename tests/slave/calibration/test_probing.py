@@ -13,7 +13,7 @@ from estimator.structs import to_struct, view_struct
 from slave.calibration import probing
 from slave.calibration.monitor import MonitorConfig, TendonMonitor
 from slave.calibration.probing import K_RATIO_MIN, Probe, ProbingConfig
-from slave.tendons import EstimatedTendon, build_rig_layout
+from slave.rig_layout import EstimatedTendon, build_rig_layout
 from studies.probing import draw_joint, run_rest
 from teleop.messages.messages import MAX_JOINTS
 from teleop.session.state_machine import Session, State, may_probe

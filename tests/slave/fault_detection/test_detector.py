@@ -11,7 +11,7 @@ from slave import fault_detection
 from slave.fault_detection import FaultDetectionConfig
 from slave.fault_detection.wound_length import compute_compliance, compute_elongation_min
 from slave.rig import RigSample
-from slave.tendons import EstimatedTendon, build_rig_layout
+from slave.rig_layout import EstimatedTendon, build_rig_layout
 from studies.testbed.control_bench import DT, to_tendon_records
 from teleop.session.state_machine import Reason
 from tests.slave.fault_detection.readings import readings

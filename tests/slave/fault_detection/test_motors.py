@@ -12,7 +12,7 @@ from slave.fault_detection import (
     check_motors,
     record_motor_readings,
 )
-from slave.tendons import EstimatedTendon, build_rig_layout
+from slave.rig_layout import EstimatedTendon, build_rig_layout
 from studies.testbed.control_bench import DT
 from teleop.session.state_machine import Reason
 

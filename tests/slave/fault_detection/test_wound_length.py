@@ -20,7 +20,7 @@ from slave.fault_detection.wound_length import (
     compute_elongation_max,
     compute_elongation_min,
 )
-from slave.tendons import build_rig_layout
+from slave.rig_layout import build_rig_layout
 from studies.testbed.control_bench import DT
 from teleop.session.state_machine import Reason
 

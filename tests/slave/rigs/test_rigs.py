@@ -7,7 +7,7 @@ import pytest
 from slave.config import SlaveConfig
 from slave.rig import RigFault, RigFinished
 from slave.rigs import open_rig
-from slave.rigs.replayed import ReplayedRigConfig
+from slave.rigs.replayed_data import ReplayedRigConfig
 from slave.rigs.simulated import (
     CATCH_UP_STEPS_MAX,
     JointConfig,
@@ -20,7 +20,7 @@ from slave.simulation.environment import WallConfig
 from slave.simulation.joint import BodyConfig, Joint
 from slave.simulation.sensors import EncoderConfig, LoadCellConfig
 from teleop.config.loading import load
-from teleop.data.table import Columns, read_table, write_table
+from teleop.data.measured_table import Columns, read_table, write_table
 from teleop.errors import UsageError
 
 TENDON = TendonPlantConfig(load_cell=LoadCellConfig(0.0, 0.0), encoder=EncoderConfig(0))

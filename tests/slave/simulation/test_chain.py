@@ -23,7 +23,7 @@ from slave.simulation.tendon import (
     get_tensions,
     init_chain_state,
 )
-from studies.brute import chain as brute
+from studies.brute_force import chain as brute
 from tests.slave.tendon_bench import (
     BLOCKED,
     EA,

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from studies.brute.chain import Chain, Force, Position
+from studies.brute_force.chain import Chain, Force, Position
 from studies.paper import equations as cf
 
 MU, R, L, EA = 0.1, 0.15, 1.5, 9000.0

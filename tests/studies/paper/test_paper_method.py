@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from studies.brute.chain import Chain, Force, Position
+from studies.brute_force.chain import Chain, Force, Position
 from studies.paper import paper_method
 from studies.paper.paper_method import Phase
 

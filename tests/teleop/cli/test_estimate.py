@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import yaml
 
-from slave.calibration.file import Calibration
+from slave.calibration.calibration_file import Calibration
 from slave.simulation.environment import STIFFNESS_MAX
 from teleop.cli import commands
 from teleop.config.loading import load
+from teleop.data.measured_table import Columns, read_table, write_table
 from teleop.data.reading import format_reading
-from teleop.data.table import Columns, read_table, write_table
 
 RIG = (
     "slave.rig.joints=[{{tendons: [{{sheath: {{sections: {sections}, friction: 0.15}}}}], "

@@ -5,11 +5,11 @@ import json
 import pytest
 import yaml
 
-from slave.rigs.bench import load_rig_config, simulate
-from slave.rigs.replayed import ReplayedRig, ReplayedRigConfig
+from slave.rigs.replayed_data import ReplayedRig, ReplayedRigConfig
+from slave.rigs.virtual_bench import load_rig_config, simulate
 from studies.adaptation import simulate_use
 from teleop.cli import commands
-from teleop.data.table import write_table
+from teleop.data.measured_table import write_table
 from tests.estimator.test_adaptation import simulate as simulate_chain
 
 MODEL = "slave.tendons=[{effective_friction: 1.0, tension_noise: 0.02, displacement_noise: 1.0e-6}]"

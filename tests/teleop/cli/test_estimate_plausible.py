@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from slave.rigs.replayed import ReplayedRig, ReplayedRigConfig
+from slave.rigs.replayed_data import ReplayedRig, ReplayedRigConfig
 from teleop.cli import commands
-from teleop.data.table import read_table, write_table
+from teleop.data.measured_table import read_table, write_table
 from tests.teleop.cli.test_estimate import EVEN, SPRING, simulate
 
 T_IN, Q_P, T_OUT, Q_D = (

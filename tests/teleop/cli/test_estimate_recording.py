@@ -9,7 +9,7 @@ import pytest
 from slave.config import SlaveConfig
 from teleop.cli import commands
 from teleop.config.loading import load
-from teleop.data.table import read_table
+from teleop.data.measured_table import read_table
 from teleop.link import LinkConfig
 from teleop.messages.messages import MAX_TENDONS, TendonState
 from teleop.messages.topics import TENDONS

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 from slave.config import SlaveConfig
-from slave.rigs.replayed import ReplayedRigConfig
+from slave.rigs.replayed_data import ReplayedRigConfig
 from teleop.config.loading import ConfigDocument
 from teleop.errors import TeleopError
 from teleop.launch import launcher, watch
@@ -34,7 +34,7 @@ from teleop.remote.request_listener import CALL, RESET
 from teleop.runtime import process
 from teleop.runtime.clock import Percentiles
 from teleop.runtime.status_line import StatusLine
-from teleop.session.meter import StageMeter
+from teleop.session.loop_meter import StageMeter
 from teleop.session.state_machine import DetailedReason, Reason, State
 from teleop.session.summary import (
     ForceError,
@@ -51,7 +51,7 @@ UNMEASURED = LinkHealth(HealthConfig()).build_summary(MessageCounts())
 
 
 def loop(ticks=1000, latencies=0, **changes):
-    """A loop's summary, as `teleop.session.meter` makes it."""
+    """A loop's summary, as `teleop.session.loop_meter` makes it."""
     some = Percentiles(max(ticks, 1), 2.0, 3.0, 4.0, 5.0)
     ticks_in = {State.OFF: ticks - ticks // 2, State.ENGAGED: ticks // 2}
     summary = LoopSummary(

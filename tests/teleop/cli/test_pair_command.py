@@ -13,7 +13,7 @@ from estimator.pair.pair_study import SHARE
 from teleop.cli import commands
 from teleop.cli.pair import PairConfig, read_records
 from teleop.config.loading import load
-from teleop.data.mapping import TableMapping
+from teleop.data.mapping_file import TableMapping
 from teleop.data.reading import format_reading
 from teleop.errors import UsageError
 from tests.estimator.pair import pair_bench as bench

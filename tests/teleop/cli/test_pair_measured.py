@@ -6,7 +6,7 @@ import pytest
 from estimator.pair.pair_fit import PairVariant
 from estimator.pair.pair_study import COMMAND, SHARE, run_study
 from teleop.cli.pair import PairConfig, read_records
-from teleop.data.mapping import TableMapping
+from teleop.data.mapping_file import TableMapping
 
 pytestmark = [pytest.mark.measured, pytest.mark.slow]
 

@@ -8,7 +8,7 @@ from slave.simulation.sensors import EncoderConfig, LoadCellConfig
 from teleop import MotionScale
 from teleop.cli import simulate
 from teleop.cli.commands import Parser
-from teleop.data.table import read_table
+from teleop.data.measured_table import read_table
 from teleop.errors import UsageError
 
 

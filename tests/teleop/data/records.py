@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from teleop.data.table import read_table, write_table
+from teleop.data.measured_table import read_table, write_table
 from teleop.errors import UsageError
 
 

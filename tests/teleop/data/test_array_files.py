@@ -9,7 +9,7 @@ from pyarrow import feather
 from scipy import io
 
 from teleop.data import Columns, read_table
-from teleop.data.mapping import TableMapping
+from teleop.data.mapping_file import TableMapping
 from teleop.errors import UsageError
 
 TIME = np.arange(40) / 20

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from teleop.data.mapping import parse_column_options
-from teleop.data.table import Columns, read_table, write_table
+from teleop.data.mapping_file import parse_column_options
+from teleop.data.measured_table import Columns, read_table, write_table
 from teleop.errors import UsageError
 from tests.teleop.data.records import pull, refusal
 

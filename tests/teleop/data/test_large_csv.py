@@ -5,7 +5,7 @@ import gzip
 import numpy as np
 import pytest
 
-from teleop.data import large_csv, table_files, text_table
+from teleop.data import file_formats, large_csv, text_table
 from teleop.errors import UsageError
 
 HEAD = "time_s,proximal_tension_N,note\n"
@@ -37,7 +37,7 @@ TEXTS = {
 def read(path, large, monkeypatch):
     monkeypatch.setattr(text_table, "LARGE_FILE_BYTES", 0 if large else 1 << 60)
     try:
-        raw = table_files.read_columns(path)
+        raw = file_formats.read_columns(path)
     except UsageError as error:
         return str(error)
     rows = len(next(iter(raw.columns.values())))
@@ -64,8 +64,8 @@ def test_it_is_used_and_says_how_far_it_is(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(large_csv, "BLOCK_BYTES", 1 << 12)
     numbers = np.arange(20_000.0)
     path = tmp_path / "x.csv"
-    table_files.write_table(path, {"a": numbers, "b": numbers / 7.0})
-    raw = table_files.read_columns(path)
+    file_formats.write_table(path, {"a": numbers, "b": numbers / 7.0})
+    raw = file_formats.read_columns(path)
     assert np.array_equal(raw.columns["b"], numbers / 7.0)
     assert f"reading {path}" in capsys.readouterr().err
 
@@ -78,4 +78,4 @@ def test_a_cut_off_file_is_not_taken_for_a_shorter_one(tmp_path, monkeypatch, cu
     path = tmp_path / "x.csv.gz"
     path.write_bytes(data[: int(cut * len(data))])
     with pytest.raises(UsageError, match="damaged or cut off"):
-        table_files.read_columns(path)
+        file_formats.read_columns(path)

@@ -3,9 +3,9 @@
 import numpy as np
 
 from teleop.cli.commands import main
-from teleop.data.mapping import TableMapping, parse_column_options
+from teleop.data.mapping_file import TableMapping, parse_column_options
+from teleop.data.measured_table import read_table
 from teleop.data.reading import Reading, format_reading, format_readings
-from teleop.data.table import read_table
 
 TIME = np.delete(np.arange(50) * 20.0, [30, 31])  # [ms]
 CELLS = [f"{t:.0f};{5 + np.sin(t / 300):.4f};{1 + np.sin(t / 300):.5f}" for t in TIME]

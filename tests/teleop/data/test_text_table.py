@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from teleop.data import read_table
-from teleop.data.mapping import MappedColumn, TableMapping, parse_column_options
+from teleop.data.mapping_file import MappedColumn, TableMapping, parse_column_options
 from teleop.errors import UsageError
 
 NAMES = ("time_s", "proximal_tension_N", "proximal_displacement_m")

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from teleop.config.loading import ConfigDocument
 from teleop.messages.messages import SlaveState, pad_values
 from teleop.ros.arms import load_ros_arms
-from teleop.ros.outputs import (
+from teleop.ros.output_topics import (
     NamingContext,
     build_arm_frames,
     to_slave_force,

@@ -10,9 +10,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from teleop.cli import commands
 from teleop.config.loading import ConfigDocument
-from teleop.data import bounds
-from teleop.data.table import Columns, read_table, read_tables
-from teleop.data.table_files import read_columns
+from teleop.data import read_limits
+from teleop.data.file_formats import read_columns
+from teleop.data.measured_table import Columns, read_table, read_tables
 from teleop.errors import UsageError
 from teleop.link import ReceivedMessage
 from teleop.messages.messages import (
@@ -276,7 +276,7 @@ def test_a_table_that_is_too_large_is_refused_before_it_is_made(
             bag.write("/arm/joint_states", others, k * 0.3)
     path = tmp_path / "lab"
     assert len(read_columns(path).columns) == 105  # without velocities, which no message has
-    monkeypatch.setattr(bounds, bound, value)
+    monkeypatch.setattr(read_limits, bound, value)
     monkeypatch.setattr(np, "interp", lambda *_: pytest.fail("a column was made"))
     with pytest.raises(UsageError, match=words):
         read_table(path)

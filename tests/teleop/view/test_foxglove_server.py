@@ -14,7 +14,7 @@ import pytest
 
 from teleop.messages.topics import STATE, TOPICS
 from teleop.ros.message_types import JOINT_STATE
-from teleop.ros.outputs import OUTPUTS, build_topic_name
+from teleop.ros.output_topics import OUTPUTS, build_topic_name
 from teleop.view.foxglove_server import FoxgloveServer
 from tests.root import ROOT
 from tests.teleop.recorded import heard

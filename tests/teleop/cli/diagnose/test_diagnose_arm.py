@@ -5,12 +5,12 @@ import math
 
 import pytest
 
-from slave.rigs.bench import MotionScale, simulate
-from studies.hidden import arms
+from slave.rigs.virtual_bench import MotionScale, simulate
+from studies.hidden_effects import arms
 from teleop.cli.commands import Parser
 from teleop.cli.diagnose import command
-from teleop.data.channel_names import ANCHOR_TENSION, JOINT_ANGLE, format_numbered_name
-from teleop.data.table import Columns, write_table
+from teleop.data.measured_table import Columns, write_table
+from teleop.data.standard_columns import ANCHOR_TENSION, JOINT_ANGLE, format_numbered_name
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS, TendonState
 from teleop.messages.topics import TENDONS

@@ -7,12 +7,12 @@ import re
 import numpy as np
 import pytest
 
-from studies import hidden
+from studies import hidden_effects
 from teleop.cli import commands
 from teleop.data import model_file
+from teleop.data.file_formats import read_columns
+from teleop.data.measured_table import write_table
 from teleop.data.reading import format_reading
-from teleop.data.table import write_table
-from teleop.data.table_files import read_columns
 
 FAULT = "distal_tension_gain"
 KEYS = {
@@ -34,7 +34,7 @@ def write(path, data, rows=slice(None)):
 
 @pytest.fixture(scope="module")
 def data():
-    return hidden.make(5, (FAULT,), bench="spring", duration=16.0, rate=50.0)
+    return hidden_effects.make(5, (FAULT,), bench="spring", duration=16.0, rate=50.0)
 
 
 @pytest.fixture(scope="module")

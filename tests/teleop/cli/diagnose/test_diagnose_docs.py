@@ -9,7 +9,7 @@ from estimator.diagnosis.api import diagnose_records
 from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import prepare_record
 from estimator.effects import Effect
-from studies import hidden
+from studies import hidden_effects
 from teleop.cli.diagnose.diagnosis_run import parse_effects
 
 DOCS = Path(__file__).parents[4] / "docs"
@@ -32,7 +32,7 @@ def test_the_effect_of_the_page_is_found_among_others():
     names = {}
     exec(block(), names)  # noqa: S102 - our own page
     (effect,) = (one for one in names.values() if isinstance(one, Effect))
-    data = hidden.make(5, (), bench="spring", duration=16.0, rate=50.0)
+    data = hidden_effects.make(5, (), bench="spring", duration=16.0, rate=50.0)
     T = data.channels["distal_tension"]
     record = prepare_record(data.time, data.channels | {"distal_tension": T + 0.006 * T**2})
     found = diagnose_records(

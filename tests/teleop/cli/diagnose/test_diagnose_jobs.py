@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from studies import hidden
+from studies import hidden_effects
 from teleop.cli import commands
-from teleop.data.table import write_table
+from teleop.data.measured_table import write_table
 
 joblib = pytest.importorskip("joblib")
 
@@ -14,7 +14,7 @@ joblib = pytest.importorskip("joblib")
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("records")
-    made = hidden.make(5, ("distal_tension_gain",), duration=10.0, rate=50.0)
+    made = hidden_effects.make(5, ("distal_tension_gain",), duration=10.0, rate=50.0)
     columns = {
         "time_s": made.time,
         "proximal_tension_N": made.channels["proximal_tension"],

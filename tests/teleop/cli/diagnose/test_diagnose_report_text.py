@@ -13,21 +13,21 @@ from estimator.diagnosis.record import prepare_record
 from estimator.diagnosis.residual_structure import ResidualDependence
 from estimator.diagnosis.sampling import DataIssue
 from estimator.units import format_quantity
-from studies import hidden
+from studies import hidden_effects
 from teleop.cli.diagnose import html_report, json_report
 from teleop.cli.diagnose.diagnosis_run import parse_effects
 
 FAULT, RIVAL = "distal_tension_gain", "constant_drag"
 
 
-def found_in(data, channels=hidden.CHANNELS):
+def found_in(data, channels=hidden_effects.CHANNELS):
     record = prepare_record(data.time, {name: data.channels[name] for name in channels})
     return diagnose_records([record], parse_effects(FAULT))
 
 
 @pytest.fixture(scope="module")
 def data():
-    return hidden.make(5, (FAULT,), bench="spring", duration=16.0, rate=50.0)
+    return hidden_effects.make(5, (FAULT,), bench="spring", duration=16.0, rate=50.0)
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,9 @@ from slave import loop, model_files
 from slave.config import SlaveConfig
 from slave.force_error import Score
 from slave.rigs import open_rig
-from slave.rigs.replayed import ReplayedRigConfig
+from slave.rigs.replayed_data import ReplayedRigConfig
 from slave.samples import estimate, to_sample_rows
-from studies import hidden
+from studies import hidden_effects
 from teleop.cli import commands
 from teleop.data import model_file, read_table, write_table
 
@@ -38,7 +38,7 @@ def write(path, data, start, seed):
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("numbers")
-    data = hidden.make(5, (), bench="spring", duration=24.0, rate=50.0)
+    data = hidden_effects.make(5, (), bench="spring", duration=24.0, rate=50.0)
     return [
         write(folder / name, data, start, seed)
         for seed, (name, start) in enumerate((("monday.csv", 0.0), ("tuesday.csv", START)))

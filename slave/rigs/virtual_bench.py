@@ -25,13 +25,13 @@ from slave.simulation.environment import FreeConfig
 from slave.simulation.joint import BodyConfig
 from slave.simulation.tendon import SheathConfig
 from teleop.config.loading import load
-from teleop.data.channel_names import (
+from teleop.data.measured_table import Columns, write_table
+from teleop.data.standard_columns import (
     ANCHOR_TENSION,
     JOINT_ANGLE,
     LOOP_TENSIONS,
     format_numbered_name,
 )
-from teleop.data.table import Columns, write_table
 from teleop.errors import UsageError
 
 # --- motor motions for simulated measurements: pure functions of time, tension and state

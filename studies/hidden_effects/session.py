@@ -6,10 +6,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from studies.hidden import motion
-from studies.hidden.chain import BLOCKED, SPRUNG, Law, Tip, at_rest, lay, run
-from studies.hidden.effects import EFFECTS, OUTSIDE, Plant, Scene, fresh
-from studies.hidden.sensors import measured
+from studies.hidden_effects import motion
+from studies.hidden_effects.chain import BLOCKED, SPRUNG, Law, Tip, at_rest, lay, run
+from studies.hidden_effects.effects import EFFECTS, OUTSIDE, Plant, Scene, fresh
+from studies.hidden_effects.sensors import measured
 
 CHANNELS = ("proximal_tension", "proximal_displacement", "distal_tension", "distal_displacement")
 JUST_SEEN = {"tension": 0.02, "displacement": 4e-6}  # [N], [m]

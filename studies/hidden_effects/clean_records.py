@@ -1,6 +1,6 @@
 """Count false alarms on clean records: two makers, travel noise, rates, benches, seeds.
 
-    python -m studies.hidden.clean --seeds 1 2 3
+    python -m studies.hidden_effects.clean_records --seeds 1 2 3
 
 A false alarm is any verdict but "clean". Whether K lies in its interval is counted too. 80 records
 a seed, each 4 s of a processor at 50 Hz and more above: 10 minutes a seed.
@@ -13,8 +13,8 @@ from typing import NamedTuple
 from estimator.diagnosis.api import diagnose_records
 from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import prepare_record
-from studies import hidden
-from studies.hidden.play_grid import make_grid
+from studies import hidden_effects
+from studies.hidden_effects.play_grid import make_grid
 from studies.testbed.command import parse_options
 from teleop.runtime.parallel import count_processors, map_in_parallel
 
@@ -62,7 +62,7 @@ def judge(case):
         made = make_grid(case.seed, case.bench, rate=case.rate, travel_noise=case.noise)
         K = made.K
     else:
-        made = hidden.make(
+        made = hidden_effects.make(
             1000 + case.seed, (), bench=case.bench, rate=case.rate, travel_noise=case.noise
         )
         K = made.truth["sheath"]["K"]

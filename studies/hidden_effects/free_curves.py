@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from studies.hidden.effects import about, effect
+from studies.hidden_effects.effects import about, effect
 
 BY = {
     "outside:friction_over_position": "friction_by_position",

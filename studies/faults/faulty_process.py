@@ -1,6 +1,6 @@
 """A remote-controlled process of ours: on command it injects faults that a test cannot inject.
 
-    python -m studies.faults.puppet COMMAND ARGUMENTS ...      as `teleop COMMAND ARGUMENTS ...`
+    python -m studies.faults.faulty_process COMMAND ARGUMENTS ...  as `teleop COMMAND ARGUMENTS ...`
 
 Words on standard input, one a line: `unplug`, `plug` (the haptic device), `clock S` (the machine's
 monotonic clock jumps by S seconds for this process), `wall S` (its wall clock; see wall_clock.c),

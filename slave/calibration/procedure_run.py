@@ -18,6 +18,7 @@ from slave import gate, initial_position
 from slave.calibration import procedure, procedure_state
 from slave.calibration.config import InitialiseConfig, compute_compliance_limit
 from slave.calibration.posture import HOLD_RATIO, JointTravels, Stage, plan_stages
+from slave.calibration.procedure_log import ProcedureData, ProcedureLog
 from slave.calibration.procedure_state import (
     JointConstants,
     JointReadings,
@@ -26,7 +27,6 @@ from slave.calibration.procedure_state import (
     StopContact,
     format_tendon_name,
 )
-from slave.calibration.record import ProcedureData, ProcedureLog
 from slave.gate import GateConfig, GateFlags
 from slave.initial_position import InitialPosition
 from slave.rig import Rig, RigFault, RigFinished, RigSample, has_following_motors

@@ -12,10 +12,10 @@ from typing import IO, Any, cast
 
 import numpy as np
 
-from teleop.data import bounds, time_text
-from teleop.data.cells import WITH_UNIT, classify_word, to_number
-from teleop.data.mapping import TableMapping
+from teleop.data import read_limits, time_text
+from teleop.data.mapping_file import TableMapping
 from teleop.data.raw_table import Column, RawTable
+from teleop.data.text_cells import WITH_UNIT, classify_word, to_number
 from teleop.data.text_table import ROWS_PER_CHUNK, clean_name, read_text
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS
@@ -216,7 +216,7 @@ def _join_batches(path: Path, schema: Any, batches: Iterable[Any]) -> RawTable:
     rows = 0
     for batch in batches:
         rows += len(batch)
-        bounds.check_size(path, len(schema), rows, "split the file")
+        read_limits.check_size(path, len(schema), rows, "split the file")
         for name, part, column in zip(schema.names, parts, batch.columns, strict=True):
             part.append(_decode_parquet_values(path, name, column))
     columns = {
@@ -234,18 +234,18 @@ def _check_footer(path: Path) -> None:
     if length > FOOTER_MAX and path.stat().st_size > length:
         raise UsageError(
             f"{path}: its footer has {length} bytes, at most {FOOTER_MAX} are read; keep at most "
-            f"{bounds.COLUMNS_MAX} columns, and write fewer row groups"
+            f"{read_limits.COLUMNS_MAX} columns, and write fewer row groups"
         )
 
 
 def _check_parquet_size(path: Path, columns: int, metadata: Any) -> None:
     """Raise `UsageError` for what is too large."""
-    bounds.check_size(path, columns, metadata.num_rows, "keep what is needed, or split it")
+    read_limits.check_size(path, columns, metadata.num_rows, "keep what is needed, or split it")
     size = sum(metadata.row_group(k).total_byte_size for k in range(metadata.num_row_groups))
-    if size > bounds.TEXT_MAX:
+    if size > read_limits.TEXT_MAX:
         raise UsageError(
-            f"{path}: unpacks to {size >> 20} MB, at most {bounds.TEXT_MAX >> 20} MB are read; "
-            "keep the columns that are needed, or split it"
+            f"{path}: unpacks to {size >> 20} MB, at most {read_limits.TEXT_MAX >> 20} MB are "
+            "read; keep the columns that are needed, or split it"
         )
 
 
@@ -301,9 +301,9 @@ def _decode_parquet_values(path: Path, name: str, column: Any) -> Column:
     if not pa.types.is_dictionary(column.type):
         column = column.cast(pa.string()).dictionary_encode()
     texts = [*column.dictionary.cast(pa.string()).to_pylist(), None]
-    if any(text is not None and len(text) > bounds.CELL_MAX for text in texts):
+    if any(text is not None and len(text) > read_limits.CELL_MAX for text in texts):
         raise UsageError(
-            f"{path}: column {name!r} has a cell of more than {bounds.CELL_MAX} characters"
+            f"{path}: column {name!r} has a cell of more than {read_limits.CELL_MAX} characters"
         )
     cells: Column = np.array(texts, dtype=object)[column.indices.fill_null(-1).to_numpy()]
     return cells

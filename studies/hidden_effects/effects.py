@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from studies.hidden import sensors
-from studies.hidden.chain import Law, Tip
+from studies.hidden_effects import sensors
+from studies.hidden_effects.chain import Law, Tip
 
 BENCHES = ("blocked", "spring")
 

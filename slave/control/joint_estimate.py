@@ -16,7 +16,7 @@ from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.online.tendon_estimate import INVALID_INPUT
 from estimator.structs import F64, I64, Struct, StructArray
-from slave.tendons import EstimatedTendon, EstimatedTendons, RigLayout, TendonGroup
+from slave.rig_layout import EstimatedTendon, EstimatedTendons, RigLayout, TendonGroup
 
 SLACK_TENSION = 0.05  # [N] at the housing: below, a tendon does not measure its joint
 TAUT_TENSION = 0.15  # [N] full weight from here on

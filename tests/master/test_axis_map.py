@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from estimator.kinematics.arm import prepare_arm
 from estimator.kinematics.forward import compute_tip_pose
 from estimator.structs import to_struct, view_struct
-from master import hand_map, loop
+from master import axis_map, loop
+from master.axis_map import AxisMapper, VelocityMap
 from master.config import MasterConfig
 from master.device import HandState
 from master.feedback import FeedbackConfig
 from master.hand_input import HandInput, fill_hand_input
-from master.hand_map import AxisMapper, VelocityMap
 from master.mapping_config import (
     AxisMapConfig,
     MappedJointConfig,
@@ -238,11 +238,11 @@ def test_forces_on_the_hand_stay_in_bounds_and_are_felt_by_the_joints(matrix, la
     last, joint_force = np.append(last, np.zeros(4)), np.append(force, np.zeros(4))
     size = max(np.abs(M.T @ last).max() / 2.5, np.linalg.norm(M.T @ last) / total_max, 1.0)
     last /= size  # as it left the last tick
-    hand_map.limit_joint_force(
+    axis_map.limit_joint_force(
         to_struct(config), total_max, velocity_map, last, joint_force, 3, 4, dt
     )
     out = np.zeros(8)
-    hand_map.compute_hand_force(velocity_map, joint_force, 3, 4, out)
+    axis_map.compute_hand_force(velocity_map, joint_force, 3, 4, out)
     assert out == pytest.approx(M.T @ joint_force)
     assert np.abs(out).max() <= config.limit + 1e-9
     assert np.linalg.norm(out) <= total_max + 1e-9

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from studies.hidden.chain import Law, at_rest, step
+from studies.hidden_effects.chain import Law, at_rest, step
 
 CORNER = 0.15  # [s] in which the motor changes its speed
 SLACK = -0.08  # of full travel, where there is no tension for sure

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop.data import bounds, table_files, text_table
-from teleop.data.table import Columns, read_table, read_tables, write_table
+from teleop.data import file_formats, read_limits, text_table
+from teleop.data.measured_table import Columns, read_table, read_tables, write_table
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS, TendonState, pad_values
 from teleop.messages.topics import TENDONS
@@ -212,10 +212,10 @@ def test_a_damaged_or_cut_off_file_is_refused(tmp_path):
 def small(monkeypatch):
     """Lower the bounds, so that a small file is too large."""
     for name, value in {"CELLS_MAX": 40, "COLUMNS_MAX": 4, "BLANK_MAX": 9}.items():
-        monkeypatch.setattr(bounds, name, value)
-    monkeypatch.setattr(bounds, "TEXT_MAX", 100_000)
-    monkeypatch.setattr(bounds, "LINE_MAX", 3000)
-    monkeypatch.setattr(bounds, "CELL_MAX", 1000)
+        monkeypatch.setattr(read_limits, name, value)
+    monkeypatch.setattr(read_limits, "TEXT_MAX", 100_000)
+    monkeypatch.setattr(read_limits, "LINE_MAX", 3000)
+    monkeypatch.setattr(read_limits, "CELL_MAX", 1000)
 
 
 LARGE = {
@@ -233,7 +233,7 @@ def test_text_that_unpacks_without_end_is_refused(
 ):
     monkeypatch.setattr(text_table, "LARGE_FILE_BYTES", 0 if large else 1 << 60)
     if kind == "text":
-        monkeypatch.setattr(bounds, "CELLS_MAX", 1 << 40)
+        monkeypatch.setattr(read_limits, "CELLS_MAX", 1 << 40)
     text, said = LARGE[kind]
     data = gzip.compress(text.encode()) if suffix == "csv.gz" else text.encode()
     assert said in refusal(tmp_path / f"large.{suffix}", data)
@@ -258,7 +258,7 @@ def test_parquet_that_unpacks_without_end_is_refused(tmp_path, small, columns, s
 
 
 def test_a_footer_that_has_no_end_is_not_read(tmp_path, monkeypatch):
-    monkeypatch.setattr(table_files, "FOOTER_MAX", 100)
+    monkeypatch.setattr(file_formats, "FOOTER_MAX", 100)
     path = tmp_path / "large.parquet"
     pq.write_table(pa.table({"time_s": [0.0]}), path)
     assert "its footer has" in refusal(path)

@@ -15,8 +15,9 @@ load cell. Of n + 1 tendons of n joints, n drive and one follows, by the travel 
 tips leave to it (`TendonGroup`). All targets are relative to the last gated motor positions, so
 there is no windup while a limit is active.
 
-e is the motor's travel less the tip's, which all tendons measure (slave.control.joint), behind a
-dead band: the compensation integrates, at a tip that sticks, and would hunt by what noise shows.
+e is the motor's travel less the tip's, which all tendons measure (slave.control.joint_estimate),
+behind a dead band: the compensation integrates, at a tip that sticks, and would hunt by what noise
+shows.
 """
 
 from collections.abc import Sequence
@@ -30,8 +31,8 @@ from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.noise_treatment import update_play
 from estimator.structs import F64, Field, Flag, Struct
-from slave.control.joint import fuse_travels
-from slave.tendons import EstimatedTendon, EstimatedTendons, RigLayout, TendonGroup
+from slave.control.joint_estimate import fuse_travels
+from slave.rig_layout import EstimatedTendon, EstimatedTendons, RigLayout, TendonGroup
 from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from teleop.runtime.clock import STEP_MAX_S

@@ -32,14 +32,14 @@ DRIVERS: dict[type[Any], DriverEntry] = {
     ),
     DynamixelConfig: DriverEntry(
         "slave.drivers.dynamixel.driver:DynamixelDriver",
-        "slave.drivers.dynamixel.tools:DynamixelReader",
-        "slave.drivers.dynamixel.tools",
+        "slave.drivers.dynamixel.bring_up:DynamixelReader",
+        "slave.drivers.dynamixel.bring_up",
         "dynamixel",
     ),
     Cia402Config: DriverEntry(
         "slave.drivers.cia402.driver:Cia402Driver",
-        "slave.drivers.cia402.tools:Cia402Reader",
-        "slave.drivers.cia402.tools",
+        "slave.drivers.cia402.bring_up:Cia402Reader",
+        "slave.drivers.cia402.bring_up",
         "can",
     ),
 }

@@ -15,10 +15,15 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.units import LINEAR, Units
-from teleop.config.suggestions import suggest_spelling
-from teleop.data import channel_names, time_text
-from teleop.data.cells import THOUSANDS, classify_word, to_number
-from teleop.data.channel_names import Columns
+from teleop.data import standard_columns, time_text
+from teleop.data.column_search import (
+    NAMES_SHOWN,
+    detect_file_units,
+    find_columns,
+    is_travel_pair,
+    match_name,
+    replace_aliases,
+)
 from teleop.data.column_units import (
     UNIT_FACTORS,
     convert_to_si,
@@ -26,12 +31,13 @@ from teleop.data.column_units import (
     propose_time_unit,
     split_unit,
 )
-from teleop.data.mapping import TableMapping
+from teleop.data.file_formats import check_destination, read_columns, write_table
+from teleop.data.mapping_file import TableMapping
 from teleop.data.raw_table import Column, RawTable
-from teleop.data.runs import list_runs, split_runs
+from teleop.data.run_splitting import list_runs, split_runs
 from teleop.data.sample_checks import check_samples, estimate_rate
-from teleop.data.table_files import check_destination, read_columns, write_table
-from teleop.data.text_table import clean_name
+from teleop.data.standard_columns import Columns
+from teleop.data.text_cells import THOUSANDS, classify_word, to_number
 from teleop.errors import UsageError
 from teleop.runtime.process import print_warning
 
@@ -49,14 +55,6 @@ __all__ = [
 # what a force is estimated from
 HOUSING_CHANNELS = ("time", "proximal_tension", "proximal_displacement")
 RATE_ERROR = 0.1  # of --rate beside the ticks of a coarse clock
-NAMES_SHOWN = 12  # of a file's columns in an error message
-_OF_RAW_VALUES = (
-    " (or 'proximal_torque=COLUMN[Nm]'; of amperes [0.05 Nm], of counts [0.002 N, zero 8060])"
-)
-_CHANNEL_WORDS = {
-    "time": "time|timestamp|zeit|t",
-    "proximal_tension": "tension|force|load|load_?cell|torque|effort|kraft",
-}
 
 
 class Source(NamedTuple):
@@ -106,7 +104,9 @@ class MeasuredTable:
 
 def get_loop_tension(table: MeasuredTable, number: int = 1) -> Array | None:
     """Return the tensions of the sensing loop of tendon 1, 2, ... [N], shape (n, 2), if any."""
-    names = [channel_names.format_numbered_name(n, number) for n in channel_names.LOOP_TENSIONS]
+    names = [
+        standard_columns.format_numbered_name(n, number) for n in standard_columns.LOOP_TENSIONS
+    ]
     if not any(name in table.extra for name in names):
         return None
     for name in names:
@@ -204,17 +204,17 @@ def read_runs(
         for columns in tendons
     ]
     tendons = [
-        replace(c, **{k: _match_name(raw, name) for k, (name, _) in t.items()})
+        replace(c, **{k: match_name(raw, name) for k, (name, _) in t.items()})
         for c, t in zip(tendons, notes, strict=True)
     ]
     if units is None:
-        units = _detect_file_units(path, raw, aliases.stated, tendons, diagnosed)
-    tendons = [_replace_aliases(columns.to_units(units), aliases.stated) for columns in tendons]
+        units = detect_file_units(path, raw, aliases.stated, tendons, diagnosed)
+    tendons = [replace_aliases(columns.to_units(units), aliases.stated) for columns in tendons]
     claimed = {name for columns in tendons for name in columns.list_names().values()}
-    is_pair = diagnosed and len(tendons) == 1 and _is_travel_pair(raw, tendons[0])
+    is_pair = diagnosed and len(tendons) == 1 and is_travel_pair(raw, tendons[0])
     required_items = ["time"] if is_pair else ["time", "proximal_tension"]
     tables_columns = [
-        _find_columns(path, raw, columns, claimed, aliases.unstated, required_items)
+        find_columns(path, raw, columns, claimed, aliases.unstated, required_items)
         for columns in tendons
     ]
     clock = tables_columns[0]["time"]
@@ -294,17 +294,6 @@ def _clean_rows(
     return raw, numbers, dropped
 
 
-def _match_name(raw: RawTable, name: str) -> str:
-    return name if name in raw.columns or clean_name(name) not in raw.columns else clean_name(name)
-
-
-def _replace_aliases(columns: Columns, aliases: Mapping[str, str]) -> Columns:
-    """Return names of which standard ones are those in the file, such as `time_ms`."""
-    return replace(
-        columns, **{k: aliases.get(name, name) for k, name in columns.list_names().items()}
-    )
-
-
 def number_samples(
     path: Path, raw: RawTable, name: str, numbers: dict[str, Array], rate_hz: float
 ) -> bool:
@@ -338,126 +327,6 @@ def _describe_words(name: str, words: Mapping[str, int]) -> str:
     if n := words.get(THOUSANDS, 0):
         examples.append(f"{THOUSANDS} in {n} cells")
     return f"column {name!r} has {', '.join(examples)}"
-
-
-def _detect_file_units(
-    path: Path,
-    raw: RawTable,
-    aliases: Mapping[str, str],
-    tendons: Sequence[Columns],
-    diagnosed: bool,
-) -> Units:
-    """Return the units of a file, as the names of its columns tell."""
-    efforts = [columns.proximal_tension for columns in tendons]
-    has_own_names = not all(columns.is_standard("proximal_tension") for columns in tendons)
-    present = [*aliases, *(name for name in raw.columns if name not in aliases.values())]
-    if not diagnosed and all(effort in present for effort in efforts):
-        return LINEAR
-    channel_names.check_names(path, present)
-    if has_own_names:
-        channel_names.check_linear_names(
-            path, [n for c in tendons for n in c.list_names().values()]
-        )
-    units = (
-        LINEAR
-        if has_own_names
-        else channel_names.detect_units(
-            path, present, channel_names.parse_tendon_number(efforts[0])
-        )
-    )
-    if units.signed and not diagnosed:
-        kind = "torque and angle" if units.rotary else "a force of either sign"
-        raise UsageError(
-            f"{path}: has {kind}; only `teleop diagnose` reads these, here the tension of one "
-            "tendon is needed (proximal_tension_N)"
-        )
-    return units
-
-
-def _is_travel_pair(raw: RawTable, columns: Columns) -> bool:
-    """Return whether a file has both travels, and nothing that may be a tension."""
-    names = columns.list_names()
-    is_tension = re.compile(_CHANNEL_WORDS["proximal_tension"], re.IGNORECASE)
-    return (
-        columns.is_standard("proximal_tension")
-        and all(names[f"{end}_displacement"] in raw.columns for end in ("proximal", "distal"))
-        and not any(is_tension.search(name) for name in raw.columns)
-    )
-
-
-def _find_columns(
-    path: Path,
-    raw: RawTable,
-    columns: Columns,
-    claimed: set[str],
-    unstated: Mapping[str, str],
-    required: Collection[str],
-) -> dict[str, str]:
-    """Return field -> column name of what the file has of `columns`."""
-    columns_found = {}
-    standard = {name for names in channel_names.STANDARD_NAMES.values() for name in names.values()}
-    unclaimed = [
-        n
-        for n in raw.columns
-        if n not in claimed and channel_names.strip_tendon_number(n) not in standard
-    ]
-    for item, name in columns.list_names().items():
-        if name in raw.columns:
-            columns_found[item] = name
-            continue
-        optional = item not in required and columns.is_standard(item)
-        if raw.lacks and not optional:
-            raise UsageError(f"{path}: {raw.lacks}")
-        if (unclear := unstated.get(name)) in unclaimed:
-            what, unit = name.rpartition("_")[::2]
-            rate = ""
-            values = raw.columns[unclear]
-            if item == "time" and values.dtype != object and len(values) > 1:
-                period = float(np.nanmedian(np.diff(values)))
-                unit = propose_time_unit(period) if period > 0.0 else unit
-                size = UNIT_FACTORS["time"].get(unit, 0.0) * period
-                rate = f" ({1.0 / size:.4g} Hz)" if size > 0.0 else ""
-            raise UsageError(
-                f"{path}: column {unclear!r} states no unit that fits; say it: --column "
-                f"'{what}={unclear}[{unit}]'{rate}{_ask_for_tension(item, columns, raw, unclaimed)}"
-            )
-        hint = suggest_spelling(name, unclaimed, cutoff=0.88 if optional else 0.6)
-        advice = _explain_missing(item, unclaimed) + _ask_for_tension(item, columns, raw, unclaimed)
-        if hint:
-            asked = _ask_for_tension(item, columns, raw, unclaimed)
-            advice = f"{hint} Then --column '{item}=COLUMN[UNIT]' says so{asked}"
-        if hint or not optional:
-            has = ", ".join(list(raw.columns)[:NAMES_SHOWN]) + ", ..." * (
-                len(raw.columns) > NAMES_SHOWN
-            )
-            raise UsageError(f"{path}: no column {name!r}{advice} (it has {has})")
-    return columns_found
-
-
-def _explain_missing(item: str, names: Sequence[str]) -> str:
-    """Return what to do about a column that must be there; one name that may be it is proposed."""
-    if item == "time":
-        return f"; name it by --column '{_propose(item, names)}', or give --rate HZ"
-    return (
-        "; friction and force are only known from the tension at the housing: add a load cell, or "
-        f"name its column by --column '{_propose('proximal_tension', names)}'{_OF_RAW_VALUES}"
-    ) * (item == "proximal_tension")
-
-
-def _ask_for_tension(item: str, columns: Columns, raw: RawTable, names: Sequence[str]) -> str:
-    """Return the option for the tension if it is missing too, for the message on the time."""
-    if item != "time" or columns.proximal_tension in raw.columns:
-        return ""
-    return f"; and the tension: --column '{_propose('proximal_tension', names)}'{_OF_RAW_VALUES}"
-
-
-def _propose(item: str, names: Sequence[str]) -> str:
-    """Return the option for a channel, with the column that may be it, if there is one."""
-    words = re.compile(rf"(?i)(?<![a-z])({_CHANNEL_WORDS[item]})(?![a-z])")
-    close = [name for name in names if words.search(name) and not re.search("(?i)pct|%", name)]
-    column = close[0] if len(close) == 1 else "COLUMN"
-    item = item.replace("tension", "torque") if "torque" in column.lower() else item
-    return f"{item}={column}" + "[UNIT]" * (not column.endswith((")", "]")))
 
 
 def parse_column(

@@ -1,6 +1,6 @@
 """Records of simulated arms with one thing changed, which a diagnosis across joints has to name.
 
-  python -m studies.hidden.arms --seeds 3     two arms, eleven changes each, a line for each record
+  python -m studies.hidden_effects.arms --seeds 3   two arms, eleven changes each, a line a record
 
 The plant (slave.simulation) shares no code with what is fitted: chains of springs, beads at the
 passed joints, bodies. All channels have noise: 0.02 N and 1 um, at a joint's pulley for its angle.

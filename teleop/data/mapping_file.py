@@ -10,8 +10,8 @@ from typing import Literal, NamedTuple
 from estimator.units import Units
 from teleop.config.loading import ConfigDocument
 from teleop.config.ranges import build_ranged_field, check_ranges
-from teleop.data import channel_names
-from teleop.data.channel_names import Columns
+from teleop.data import standard_columns
+from teleop.data.standard_columns import Columns
 from teleop.errors import UsageError
 
 
@@ -130,8 +130,10 @@ def parse_column_options(words: Sequence[str], tendon: int = 0) -> NamedColumns:
     Raises `UsageError` if an override is none, or they are linear in part and rotary in part.
     """
     pairs = [word.partition("=") for word in words]
-    units = channel_names.detect_option_units([name for name, _, _ in pairs])
-    meant = [f"{channel_names.to_channel(name)}{equals}{column}" for name, equals, column in pairs]
+    units = standard_columns.detect_option_units([name for name, _, _ in pairs])
+    meant = [
+        f"{standard_columns.to_channel(name)}{equals}{column}" for name, equals, column in pairs
+    ]
     return NamedColumns(parse_column_names(meant, tendon), units)
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studies.brute.chain import Chain, Force, Position
+from studies.brute_force.chain import Chain, Force, Position
 
 
 @dataclass(frozen=True)

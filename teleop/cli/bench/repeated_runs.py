@@ -13,8 +13,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from teleop.cli.bench import figures, session
-from teleop.cli.bench.figures import Metric, Row
+from teleop.cli.bench import metric, session
+from teleop.cli.bench.metric import Metric, Row
 from teleop.config.loading import ConfigDocument
 from teleop.config.options import add_option
 from teleop.errors import UsageError
@@ -200,17 +200,17 @@ class RepeatedRuns:
         """Print the result, write it, compare it; return the exit code."""
         print("\n".join(format_description(self._machine, self.granted)))
         print(f"medians of {self.runs} runs of {self.seconds:g} s\n")
-        print("\n".join(figures.format_table(metrics)))
+        print("\n".join(metric.format_table(metrics)))
         result = {
             "bench": self._name,
             "machine": self._machine | {"realtime": self.granted},
             "runs": self.runs,
             "seconds": self.seconds,
-            "figures": figures.to_tree(metrics),
+            "figures": metric.to_tree(metrics),
         }
         write_summary(self._out, result)
         if self._old is not None:
-            print("\n" + "\n".join(figures.format_comparison(metrics, self._old)))
+            print("\n" + "\n".join(metric.format_comparison(metrics, self._old)))
         return 0
 
 
@@ -231,7 +231,7 @@ def repeat_measurement(
         for k in range(repeated.runs):
             repeated.say(f"run {k + 1} of {repeated.runs}")
             rows.append(measure(work, repeated.seconds, shared))
-    return repeated.conclude(figures.collect_metrics(rows))
+    return repeated.conclude(metric.collect_metrics(rows))
 
 
 def validate_joints(number: int) -> int:
@@ -247,7 +247,7 @@ def read_result(path: Path, name: str) -> dict[str, Metric]:
         result: Any = json.loads(path.read_text())
         if result["bench"] != name:
             raise UsageError(f"--compare {path}: is of `teleop bench {result['bench']}`")
-        return figures.from_tree(result["figures"])
+        return metric.from_tree(result["figures"])
     except OSError as error:
         raise UsageError(f"--compare {path}: {error.strerror}") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -1,6 +1,6 @@
 """Hide effects, diagnose, count: the confusion matrix of the diagnosis (make bench-diagnosis).
 
-  python -m studies.hidden.campaign --first 4 --seeds 2 --clean 0 --outside 0 --pairs 0
+  python -m studies.hidden_effects.campaign --first 4 --seeds 2 --clean 0 --outside 0 --pairs 0
 
 Every effect of the catalogue at two sizes on each bench that has it, clean records, records with
 an effect outside the catalogue, and pairs. The diagnosis sees the channels only. A record takes
@@ -22,7 +22,7 @@ from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import prepare_record
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import Effect, Parameter
-from studies import hidden
+from studies import hidden_effects
 from studies.testbed.command import parse_options
 from teleop.runtime.parallel import count_processors, map_in_parallel
 
@@ -68,7 +68,7 @@ class Case(NamedTuple):
     @property
     def outside(self):
         """Whether its effect is none of the catalogue."""
-        return any(name in hidden.OUTSIDE for name in self.effects)
+        return any(name in hidden_effects.OUTSIDE for name in self.effects)
 
 
 class Checked(NamedTuple):
@@ -150,7 +150,7 @@ class Result(NamedTuple):
 
 def judge(case, among=CATALOGUE, oracle=True):
     """Make a record, diagnose it, and return what came of it, beside an `oracle` if wanted."""
-    made = hidden.make(
+    made = hidden_effects.make(
         case.seed,
         case.effects,
         size=case.size,
@@ -253,7 +253,7 @@ def _gain_over_truth(made, record, found):
 def _to_be_found(case, truth):
     """Return the name of the function that a case is to end in; empty where it is none."""
     name = next(iter(case.effects), "")
-    return hidden.BY.get(name, "").format(**truth.get(name, {}))
+    return hidden_effects.BY.get(name, "").format(**truth.get(name, {}))
 
 
 def _over_oracle(record, found, effects):
@@ -261,7 +261,7 @@ def _over_oracle(record, found, effects):
 
     NaN where nothing of the catalogue was hidden.
     """
-    if not effects or any(name in hidden.OUTSIDE for name in effects):
+    if not effects or any(name in hidden_effects.OUTSIDE for name in effects):
         return math.nan
     true = diagnose_records([record], [effect for effect in CATALOGUE if effect.name in effects])
     return max(
@@ -277,17 +277,19 @@ def cases(seeds, clean, outside, pairs, how, only):
         for seed in seeds
         for name in only
         for size in SIZES
-        for bench in hidden.VISIBLE[name]
+        for bench in hidden_effects.VISIBLE[name]
     ]
     first = seeds.start
     made += [Case(first + k, (), 1.0, BENCHES[k % 2], *how) for k in range(clean)]
     made += [
         Case(seed, (name,), SIZES[seed // 2 % 2], BENCHES[seed % 2], *how)
-        for seed, name in itertools.product(range(first, first + outside), hidden.OUTSIDE)
+        for seed, name in itertools.product(range(first, first + outside), hidden_effects.OUTSIDE)
     ]
     rng = np.random.default_rng(0)
     for k in range(pairs):
-        names = [name for name in hidden.EFFECTS if "spring" in hidden.VISIBLE[name]]
+        names = [
+            name for name in hidden_effects.EFFECTS if "spring" in hidden_effects.VISIBLE[name]
+        ]
         two = tuple(rng.choice(names, 2, replace=False).tolist())
         made.append(Case(first + k, two, 1.0, "spring", *how))
     return made
@@ -306,7 +308,7 @@ def main():
         rate=(100.0, "of a record [Hz]"),
         travel_noise=(0.0, "white, on both travels [m]"),
         jobs=(count_processors(), "processes"),
-        only=(tuple(hidden.EFFECTS), "effects of the catalogue"),
+        only=(tuple(hidden_effects.EFFECTS), "effects of the catalogue"),
         no_oracle=(False, "not the true model, fitted, beside it: in half the time"),
     )
     todo = cases(

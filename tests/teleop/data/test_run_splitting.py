@@ -6,8 +6,8 @@ import pytest
 import teleop
 from teleop.cli.commands import main
 from teleop.cli.diagnose.diagnosis_run import read_data
-from teleop.data.mapping import NamedColumns, TableMapping
-from teleop.data.table import Columns, read_runs, read_table, write_table
+from teleop.data.mapping_file import NamedColumns, TableMapping
+from teleop.data.measured_table import Columns, read_runs, read_table, write_table
 from teleop.errors import UsageError
 
 HEAD = "time_s,proximal_tension_N,proximal_displacement_m"

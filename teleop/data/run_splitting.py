@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from teleop.data.mapping import TableMapping
+from teleop.data.mapping_file import TableMapping
 from teleop.data.raw_table import Column, RawTable
 from teleop.errors import UsageError
 

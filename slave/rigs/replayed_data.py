@@ -13,10 +13,10 @@ from estimator.plausibility import find_channel_faults
 from estimator.spikes import remove_spikes
 from slave.rig import RigFinished, RigSample
 from teleop.config.ranges import build_ranged_field, check_ranges
-from teleop.data.channel_names import Columns
-from teleop.data.mapping import map_columns, read_mapping
+from teleop.data.mapping_file import map_columns, read_mapping
+from teleop.data.measured_table import get_loop_tension, read_tables
 from teleop.data.reading import Reading, format_reading
-from teleop.data.table import get_loop_tension, read_tables
+from teleop.data.standard_columns import Columns
 from teleop.messages.messages import MAX_JOINTS
 from teleop.runtime.process import print_warning
 

@@ -7,11 +7,11 @@ Travels are positive towards the housing, and 0 where the slack tendon is just t
 spring relaxed. Nothing is shared with `estimator` or `slave`: springs, beads, and a seed.
 """
 
-from studies.hidden import courses
-from studies.hidden.courses import BY
-from studies.hidden.effects import EFFECTS, OUTSIDE
-from studies.hidden.session import CHANNELS, Hidden, make
+from studies.hidden_effects import free_curves
+from studies.hidden_effects.effects import EFFECTS, OUTSIDE
+from studies.hidden_effects.free_curves import BY
+from studies.hidden_effects.session import CHANNELS, Hidden, make
 
 VISIBLE = {name: e.benches for name, e in (EFFECTS | OUTSIDE).items()}
 
-__all__ = ["BY", "CHANNELS", "EFFECTS", "OUTSIDE", "VISIBLE", "Hidden", "courses", "make"]
+__all__ = ["BY", "CHANNELS", "EFFECTS", "OUTSIDE", "VISIBLE", "Hidden", "free_curves", "make"]

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.coupling import ledger
-from teleop.coupling.ledger import Port
+from teleop.coupling import energy_ledger
+from teleop.coupling.energy_ledger import Port
 
 ENERGY = st.floats(0.0, 10.0)
 
@@ -30,13 +30,15 @@ def balance(port):
 
 STEPS = st.lists(
     st.one_of(
-        st.tuples(st.just(ledger.count_work), st.floats(-1.0, 1.0)),
-        st.tuples(st.just(ledger.grant_energy), ENERGY),
-        st.tuples(st.just(ledger.pass_on_energy), st.floats(-1.0, 1.0)),
-        st.tuples(st.just(ledger.cap_credit), st.floats(0.0, 1.0)),
-        st.tuples(st.just(ledger.keep_reserve), st.floats(0.0, 1.0)),
-        st.tuples(st.just(lambda p, e: ledger.count_tip_work(p, e, True)), st.floats(-1.0, 1.0)),
-        st.tuples(st.just(lambda p, e: ledger.receive_totals(p, e, 0.0)), ENERGY),
+        st.tuples(st.just(energy_ledger.count_work), st.floats(-1.0, 1.0)),
+        st.tuples(st.just(energy_ledger.grant_energy), ENERGY),
+        st.tuples(st.just(energy_ledger.pass_on_energy), st.floats(-1.0, 1.0)),
+        st.tuples(st.just(energy_ledger.cap_credit), st.floats(0.0, 1.0)),
+        st.tuples(st.just(energy_ledger.keep_reserve), st.floats(0.0, 1.0)),
+        st.tuples(
+            st.just(lambda p, e: energy_ledger.count_tip_work(p, e, True)), st.floats(-1.0, 1.0)
+        ),
+        st.tuples(st.just(lambda p, e: energy_ledger.receive_totals(p, e, 0.0)), ENERGY),
     ),
     max_size=40,
 )
@@ -61,7 +63,7 @@ def test_messages_lost_repeated_or_out_of_order_change_nothing_once_the_newest_i
     arrived = data.draw(st.lists(st.sampled_from(told), max_size=20))
     port = Port.new()
     for message in [told[0], *arrived, told[-1], *arrived]:
-        ledger.receive_totals(port, *message)
+        energy_ledger.receive_totals(port, *message)
     assert port.credit == pytest.approx(energy - 3.0)
     assert port.received_wave == wave
 
@@ -69,24 +71,24 @@ def test_messages_lost_repeated_or_out_of_order_change_nothing_once_the_newest_i
 @given(ENERGY, ENERGY)
 def test_a_restarted_sender_is_counted_from_its_first_word_on(old, new):
     port = Port.new()
-    ledger.receive_totals(port, 0.0, 0.0)
-    ledger.receive_totals(port, old, 0.0)
+    energy_ledger.receive_totals(port, 0.0, 0.0)
+    energy_ledger.receive_totals(port, old, 0.0)
     credit = port.credit
-    ledger.reset_received_totals(port)
-    ledger.receive_totals(port, new, 0.0)
+    energy_ledger.reset_received_totals(port)
+    energy_ledger.receive_totals(port, new, 0.0)
     assert port.credit == credit
-    ledger.receive_totals(port, new + 1.0, 0.0)
+    energy_ledger.receive_totals(port, new + 1.0, 0.0)
     assert port.credit == pytest.approx(credit + 1.0)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_numbers_that_are_none_are_not_heard(bad):
     port = Port.new()
-    ledger.receive_totals(port, 1.0, 1.0)
+    energy_ledger.receive_totals(port, 1.0, 1.0)
     before = values(port)
-    ledger.receive_totals(port, bad, 2.0)
+    energy_ledger.receive_totals(port, bad, 2.0)
     assert values(port) == before
-    ledger.receive_totals(port, 2.0, bad)
+    energy_ledger.receive_totals(port, 2.0, bad)
     assert values(port) == before
 
 
@@ -95,10 +97,10 @@ def test_a_weight_returns_what_it_took_and_the_allowance_besides():
     port = Port.new(credit=1.0)
     for _ in range(3):
         for travel in [2e-5] * 100 + [-2e-5] * 100:
-            ledger.count_tip_work_under_load(port, 3.0, travel, 0.005, 0.05, 0.001)
+            energy_ledger.count_tip_work_under_load(port, 3.0, travel, 0.005, 0.05, 0.001)
     assert port.dissipated == pytest.approx(0.0, abs=1e-12)
     for _ in range(200):
-        ledger.count_tip_work_under_load(port, 3.0, -2e-5, 0.005, 0.05, 0.001)
+        energy_ledger.count_tip_work_under_load(port, 3.0, -2e-5, 0.005, 0.05, 0.001)
     assert port.credit == pytest.approx(1.0 + 0.005)
     assert port.dissipated == pytest.approx(200 * 6e-5 - 0.005)
 
@@ -108,7 +110,7 @@ def test_a_force_that_swings_returns_no_more_than_it_took():
     port = Port.new(credit=1.0)
     for _ in range(20):
         for force, travel in [(0.0, 2e-5)] * 50 + [(10.0, -2e-5)] * 50:
-            ledger.count_tip_work_under_load(port, force, travel, 0.005, 0.05, 0.001)
+            energy_ledger.count_tip_work_under_load(port, force, travel, 0.005, 0.05, 0.001)
     assert port.put_in == pytest.approx(20 * 50 * 2e-4)
     assert port.credit <= 1.0 + 0.005 + 1e-9
 
@@ -118,7 +120,7 @@ def test_what_is_given_up_at_the_tip_is_never_more_than_there_is(credit, steps):
     port = Port.new(credit=credit)
     for force, travel in steps:
         before = port.credit - force * travel
-        ledger.count_tip_work_under_load(port, force, travel, 0.005, 0.05, 0.001)
+        energy_ledger.count_tip_work_under_load(port, force, travel, 0.005, 0.05, 0.001)
         assert min(before, 0.0) - 1e-15 <= port.credit <= before + 1e-15
 
 
@@ -127,7 +129,7 @@ def test_a_hand_that_turns_no_faster_than_stated_takes_no_more_than_the_credit(
     credit, force, travel, turn
 ):
     tolerance = 2e-5
-    given_force = ledger.limit_force_to_credit(
+    given_force = energy_ledger.limit_force_to_credit(
         Port.new(credit=credit), force, travel, 10.0, tolerance
     )
     assert -given_force * (travel + turn * tolerance) <= credit * (1.0 + 1e-12) + 1e-15
@@ -137,7 +139,7 @@ def test_a_hand_that_turns_no_faster_than_stated_takes_no_more_than_the_credit(
 
 @given(ENERGY, st.floats(-50.0, 50.0), st.floats(-0.01, 0.01))
 def test_the_tip_goes_against_a_force_as_far_as_the_credit_lasts(credit, force, travel):
-    gone = ledger.limit_travel_to_credit(Port.new(credit=credit), force, travel, 1.0)
+    gone = energy_ledger.limit_travel_to_credit(Port.new(credit=credit), force, travel, 1.0)
     assert gone * travel >= 0.0
     assert abs(gone) <= abs(travel)
     assert force * gone <= credit * (1.0 + 1e-12) + 1e-300
@@ -148,5 +150,5 @@ def test_the_tip_goes_against_a_force_as_far_as_the_credit_lasts(credit, force, 
 @given(st.floats(-1.0, 0.0), st.floats(0.0, 50.0))
 def test_a_hand_that_presses_is_given_the_force_whatever_the_credit(credit, force):
     port = Port.new(credit=credit)
-    assert ledger.limit_force_to_credit(port, force, 3e-5, 10.0, 2e-5) == force
-    assert ledger.limit_force_to_credit(port, force, 0.0, 10.0, 2e-5) == 0.0
+    assert energy_ledger.limit_force_to_credit(port, force, 3e-5, 10.0, 2e-5) == force
+    assert energy_ledger.limit_force_to_credit(port, force, 0.0, 10.0, 2e-5) == 0.0

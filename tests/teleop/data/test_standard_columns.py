@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from estimator.units import FORCE, ROTARY
-from teleop.data.mapping import parse_column_options
-from teleop.data.table import read_table, write_table
+from teleop.data.mapping_file import parse_column_options
+from teleop.data.measured_table import read_table, write_table
 from teleop.errors import UsageError
 from tests.teleop.data.records import refusal
 

@@ -1,0 +1,160 @@
+"""Which columns of a file are the channels: found by their names, or asked for by `--column`."""
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from estimator.units import LINEAR, Units
+from teleop.config.suggestions import suggest_spelling
+from teleop.data import standard_columns
+from teleop.data.column_units import UNIT_FACTORS, propose_time_unit
+from teleop.data.raw_table import RawTable
+from teleop.data.standard_columns import Columns
+from teleop.data.text_table import clean_name
+from teleop.errors import UsageError
+
+NAMES_SHOWN = 12  # of a file's columns in an error message
+_OF_RAW_VALUES = (
+    " (or 'proximal_torque=COLUMN[Nm]'; of amperes [0.05 Nm], of counts [0.002 N, zero 8060])"
+)
+_CHANNEL_WORDS = {
+    "time": "time|timestamp|zeit|t",
+    "proximal_tension": "tension|force|load|load_?cell|torque|effort|kraft",
+}
+
+
+def match_name(raw: RawTable, name: str) -> str:
+    """Return a column's name as the file has it: as asked for, or cleaned."""
+    return name if name in raw.columns or clean_name(name) not in raw.columns else clean_name(name)
+
+
+def replace_aliases(columns: Columns, aliases: Mapping[str, str]) -> Columns:
+    """Return names of which standard ones are those in the file, such as `time_ms`."""
+    return replace(
+        columns, **{k: aliases.get(name, name) for k, name in columns.list_names().items()}
+    )
+
+
+def detect_file_units(
+    path: Path,
+    raw: RawTable,
+    aliases: Mapping[str, str],
+    tendons: Sequence[Columns],
+    diagnosed: bool,
+) -> Units:
+    """Return the units of a file, as the names of its columns tell."""
+    efforts = [columns.proximal_tension for columns in tendons]
+    has_own_names = not all(columns.is_standard("proximal_tension") for columns in tendons)
+    present = [*aliases, *(name for name in raw.columns if name not in aliases.values())]
+    if not diagnosed and all(effort in present for effort in efforts):
+        return LINEAR
+    standard_columns.check_names(path, present)
+    if has_own_names:
+        standard_columns.check_linear_names(
+            path, [n for c in tendons for n in c.list_names().values()]
+        )
+    units = (
+        LINEAR
+        if has_own_names
+        else standard_columns.detect_units(
+            path, present, standard_columns.parse_tendon_number(efforts[0])
+        )
+    )
+    if units.signed and not diagnosed:
+        kind = "torque and angle" if units.rotary else "a force of either sign"
+        raise UsageError(
+            f"{path}: has {kind}; only `teleop diagnose` reads these, here the tension of one "
+            "tendon is needed (proximal_tension_N)"
+        )
+    return units
+
+
+def is_travel_pair(raw: RawTable, columns: Columns) -> bool:
+    """Return whether a file has both travels, and nothing that may be a tension."""
+    names = columns.list_names()
+    is_tension = re.compile(_CHANNEL_WORDS["proximal_tension"], re.IGNORECASE)
+    return (
+        columns.is_standard("proximal_tension")
+        and all(names[f"{end}_displacement"] in raw.columns for end in ("proximal", "distal"))
+        and not any(is_tension.search(name) for name in raw.columns)
+    )
+
+
+def find_columns(
+    path: Path,
+    raw: RawTable,
+    columns: Columns,
+    claimed: set[str],
+    unstated: Mapping[str, str],
+    required: Collection[str],
+) -> dict[str, str]:
+    """Return field -> column name of what the file has of `columns`."""
+    columns_found = {}
+    standard = {
+        name for names in standard_columns.STANDARD_NAMES.values() for name in names.values()
+    }
+    unclaimed = [
+        n
+        for n in raw.columns
+        if n not in claimed and standard_columns.strip_tendon_number(n) not in standard
+    ]
+    for item, name in columns.list_names().items():
+        if name in raw.columns:
+            columns_found[item] = name
+            continue
+        optional = item not in required and columns.is_standard(item)
+        if raw.lacks and not optional:
+            raise UsageError(f"{path}: {raw.lacks}")
+        if (unclear := unstated.get(name)) in unclaimed:
+            what, unit = name.rpartition("_")[::2]
+            rate = ""
+            values = raw.columns[unclear]
+            if item == "time" and values.dtype != object and len(values) > 1:
+                period = float(np.nanmedian(np.diff(values)))
+                unit = propose_time_unit(period) if period > 0.0 else unit
+                size = UNIT_FACTORS["time"].get(unit, 0.0) * period
+                rate = f" ({1.0 / size:.4g} Hz)" if size > 0.0 else ""
+            raise UsageError(
+                f"{path}: column {unclear!r} states no unit that fits; say it: --column "
+                f"'{what}={unclear}[{unit}]'{rate}{_ask_for_tension(item, columns, raw, unclaimed)}"
+            )
+        hint = suggest_spelling(name, unclaimed, cutoff=0.88 if optional else 0.6)
+        advice = _explain_missing(item, unclaimed) + _ask_for_tension(item, columns, raw, unclaimed)
+        if hint:
+            asked = _ask_for_tension(item, columns, raw, unclaimed)
+            advice = f"{hint} Then --column '{item}=COLUMN[UNIT]' says so{asked}"
+        if hint or not optional:
+            has = ", ".join(list(raw.columns)[:NAMES_SHOWN]) + ", ..." * (
+                len(raw.columns) > NAMES_SHOWN
+            )
+            raise UsageError(f"{path}: no column {name!r}{advice} (it has {has})")
+    return columns_found
+
+
+def _explain_missing(item: str, names: Sequence[str]) -> str:
+    """Return what to do about a column that must be there; one name that may be it is proposed."""
+    if item == "time":
+        return f"; name it by --column '{_propose(item, names)}', or give --rate HZ"
+    return (
+        "; friction and force are only known from the tension at the housing: add a load cell, or "
+        f"name its column by --column '{_propose('proximal_tension', names)}'{_OF_RAW_VALUES}"
+    ) * (item == "proximal_tension")
+
+
+def _ask_for_tension(item: str, columns: Columns, raw: RawTable, names: Sequence[str]) -> str:
+    """Return the option for the tension if it is missing too, for the message on the time."""
+    if item != "time" or columns.proximal_tension in raw.columns:
+        return ""
+    return f"; and the tension: --column '{_propose('proximal_tension', names)}'{_OF_RAW_VALUES}"
+
+
+def _propose(item: str, names: Sequence[str]) -> str:
+    """Return the option for a channel, with the column that may be it, if there is one."""
+    words = re.compile(rf"(?i)(?<![a-z])({_CHANNEL_WORDS[item]})(?![a-z])")
+    close = [name for name in names if words.search(name) and not re.search("(?i)pct|%", name)]
+    column = close[0] if len(close) == 1 else "COLUMN"
+    item = item.replace("tension", "torque") if "torque" in column.lower() else item
+    return f"{item}={column}" + "[UNIT]" * (not column.endswith((")", "]")))
