@@ -8,7 +8,7 @@ import pytest
 from tests.root import ROOT
 
 STUDIES = ROOT / "studies"
-PARTS = {"faults.faulty_process", "rigs.model"}  # processes of a study
+PARTS = {"faults.faulty_process", "rigs.model", "testbed.bare_zenoh"}  # processes of a study
 BY_OTHERS = {"tables", "rigs.jobs", "rigs.rates"}  # have no time in their help yet
 
 
