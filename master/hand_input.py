@@ -3,9 +3,8 @@
 Devices return a `HandState` of as many numbers as they have axes; `fill_hand_input` copies it.
 """
 
-import struct
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -31,26 +30,29 @@ class HandInput(Struct):
     stop: Flag = False  # ... the emergency stop
 
 
-# numpy takes ten times as long to write the fields
-_LAYOUT = struct.Struct(f"?q{MAX_JOINTS}d{MAX_JOINTS}d???0q")
 _ZEROS = (0.0,) * MAX_JOINTS
+_ABSENT_HAND = (False, 0, _ZEROS, _ZEROS, False, False, False)
 
 
 def fill_hand_input(records: StructArray, hand: HandState | None) -> None:
-    """Set the first of an array of `HandInput` to what a device returned, in 1 us.
+    """Set the first of an array of `HandInput` to what a device returned, in 2 us.
 
     `hand` is None if the device cannot be read.
     """
-    is_present, hand = hand is not None, hand or _ABSENT_HAND
+    if hand is None:
+        records[0] = _ABSENT_HAND
+        return
     axes = len(hand.position)
     zeros = _ZEROS[axes:]
-    axis_values = (*hand.position, *zeros, *hand.velocity, *zeros)
-    switches = hand.engage, hand.clutch, hand.stop
-    buffer: Any = records
-    _LAYOUT.pack_into(buffer, 0, is_present, axes, *axis_values, *switches)
-
-
-_ABSENT_HAND = HandState((), (), engage=False)
+    records[0] = (
+        True,
+        axes,
+        hand.position + zeros,
+        hand.velocity + zeros,
+        hand.engage,
+        hand.clutch,
+        hand.stop,
+    )
 
 
 def fill_axes(field: Array, values: Sequence[float]) -> None:

@@ -26,7 +26,6 @@ from master.config import MasterConfig
 from master.coupling_extension import HandEnd
 from master.device import Device, DeviceFault, DeviceLost, HandState
 from master.devices import open_device
-from master.devices.virtual import compile_hand
 from master.gate import GateFlags
 from master.hand_input import HandInput, fill_hand_input
 from master.mapping_config import AxisMapConfig
@@ -545,4 +544,3 @@ def warm_up() -> None:
     loop.compute_force(*inputs, VelocityMap.array(), False, np.zeros(MAX_JOINTS))
     loop.fill_hand_message(memory, hands, -1, 0, message.records)
     compile_link_window_update()
-    compile_hand()

@@ -13,15 +13,10 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-import numpy as np
-
-from estimator.array_types import Array
-from estimator.compiled import jit_compile
-from estimator.structs import F64, I64, Struct, StructArray
 from master.device import Axes, DeviceFault, HandState
 from teleop.config.ranges import MAY_BE_INFINITE, build_ranged_field, check_ranges
 
-# --- reference motions of a scripted hand (`compute_motion`)
+# --- reference motions of a scripted hand: position and velocity as functions of time
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +29,10 @@ class Hold:
     def __post_init__(self) -> None:
         if not math.isfinite(self.position):
             raise ValueError("position: must be finite [m]")
+
+    def compute_motion(self, time_s: float) -> tuple[float, float]:  # noqa: ARG002 - one signature for all
+        """Return position [m] and velocity [m/s]."""
+        return self.position, 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +49,15 @@ class Sine:
         check_ranges(self)
         if not math.isfinite(self.offset):
             raise ValueError("offset: must be finite [m]")
+
+    def compute_motion(self, time_s: float) -> tuple[float, float]:
+        """Return position [m] and velocity [m/s]."""
+        rate = 2.0 * math.pi * self.frequency
+        angle = rate * time_s
+        return (
+            self.offset + self.amplitude * math.sin(angle),
+            self.amplitude * rate * math.cos(angle),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +79,17 @@ class Reaches:
         if not self.targets or not all(math.isfinite(target) for target in self.targets):
             raise ValueError("targets: at least one, all finite [m]")
 
+    def compute_motion(self, time_s: float) -> tuple[float, float]:
+        """Return position [m] and velocity [m/s]."""
+        count, within = divmod(max(time_s, 0.0), self.reach + self.rest)
+        number = int(count)
+        goal = self.targets[number % len(self.targets)]
+        start = self.targets[(number - 1) % len(self.targets)] if number else 0.0
+        s = min(within / self.reach, 1.0)
+        way = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
+        speed = 30.0 * s * s * (1.0 - s) * (1.0 - s) / self.reach
+        return start + (goal - start) * way, (goal - start) * speed
+
 
 @dataclass(frozen=True, slots=True)
 class Waypoints:
@@ -87,6 +106,10 @@ class Waypoints:
             raise ValueError("points: at least one, all with a number for each axis")
         for axis in range(len(self.points[0])):
             self.select_axis(axis)
+
+    def compute_motion(self, time_s: float) -> tuple[float, float]:
+        """Return position [m] and velocity [m/s] of the first axis."""
+        return self.select_axis(0).compute_motion(time_s)
 
     def select_axis(self, axis: int) -> Reaches:
         """Return the motion of one axis."""
@@ -146,124 +169,68 @@ class VirtualConfig:
         return any(start <= within < end for start, end in self.engage)
 
 
-class HandAxis(Struct):
-    """One axis of the hand: its script, its body, its state."""
-
-    delay: F64  # [s] by which it follows the script later
-    offset: F64  # [m] of a sine, or of a hand that stays there
-    amplitude: F64  # [m]
-    rate: F64  # [rad/s]
-    reach: F64  # [s] duration of each reach
-    rest: F64  # [s] at each target
-    targets: I64  # of the reaches; none of a sine
-    mass: F64  # [kg]
-    stiffness: F64  # [N/m]
-    damping: F64  # [N s/m]
-    position: F64  # [m]
-    velocity: F64  # [m/s]
-    force: F64  # [N] that the device holds
-
-
-def build_axes(config: VirtualConfig) -> tuple[StructArray, Array]:
-    """Return the axes of a hand, where its script is at 0 s; and the targets [m] of each."""
-    scripts = [config.select_axis(axis) for axis in range(config.axes)]
-    axes = HandAxis.array(config.axes)
-    targets = np.zeros((config.axes, max(len(getattr(s, "targets", ())) for _, s, _ in scripts)))
-    for k, (body, script, delay) in enumerate(scripts):
-        axis = {"delay": delay, "mass": body.mass, "stiffness": body.stiffness}
-        axis["damping"] = body.damping
-        if isinstance(script, Hold):
-            axis["offset"] = script.position
-        elif isinstance(script, Sine):
-            axis |= {"offset": script.offset, "amplitude": script.amplitude}
-            axis["rate"] = 2.0 * math.pi * script.frequency
-        else:
-            axis |= {"reach": script.reach, "rest": script.rest, "targets": len(script.targets)}
-            targets[k, : len(script.targets)] = script.targets
-        for name, value in axis.items():
-            axes[name][k] = value
-        axes["position"][k], axes["velocity"][k] = compute_motion(axes, targets, k, -delay)
-    return axes, targets
-
-
-@jit_compile
-def compute_motion(axes: StructArray, targets: Array, k: int, time_s: float) -> tuple[float, float]:
-    """Return position [m] and velocity [m/s] of the script of axis `k` at `time_s` of its own."""
-    axis = axes[k]
-    if axis.targets == 0:
-        angle = axis.rate * time_s
-        return (
-            axis.offset + axis.amplitude * math.sin(angle),
-            axis.amplitude * axis.rate * math.cos(angle),
-        )
-    count, within = divmod(max(time_s, 0.0), axis.reach + axis.rest)
-    number = int(count)
-    goal = targets[k, number % axis.targets]
-    start = targets[k, (number - 1) % axis.targets] if number else 0.0
-    s = min(within / axis.reach, 1.0)
-    way = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
-    speed = 30.0 * s * s * (1.0 - s) * (1.0 - s) / axis.reach
-    return start + (goal - start) * way, (goal - start) * speed
-
-
-@jit_compile
 def advance_hand(
-    axes: StructArray, targets: Array, begin_s: float, h: float, steps: int, written_s: float
-) -> None:
-    """Advance all axes from `begin_s` by `steps` of `h` [s], with forces written at `written_s`.
+    config: VirtualConfig, position: float, velocity: float, time_s: float, force: float, h: float
+) -> tuple[float, float]:
+    """Return position [m] and velocity [m/s] of one axis at `time_s`, `h` [s] after those given.
 
     Backward Euler: stable for any `h`, and it never adds energy of its own, so an oscillation of
     the loop is not one of the integration.
     """
-    for number in range(1, steps + 1):
-        time_s = begin_s + number * h
-        for k in range(len(axes)):
-            axis = axes[k]
-            if time_s - written_s > _WATCHDOG:
-                axis.force = 0.0
-            stiffness, damping = axis.stiffness, axis.damping
-            target, target_velocity = compute_motion(axes, targets, k, time_s - axis.delay)
-            pull = stiffness * (target - axis.position) + damping * target_velocity + axis.force
-            axis.velocity = (axis.mass * axis.velocity + h * pull) / (
-                axis.mass + h * damping + h * h * stiffness
-            )
-            axis.position += h * axis.velocity
-
-
-def compile_hand() -> None:
-    """Compile what a read calls, before a loop has to be on time."""
-    VirtualDevice(VirtualConfig()).read(_SUBSTEP)
+    k, b = config.stiffness, config.damping
+    target, target_velocity = config.reference.compute_motion(time_s)
+    pull = k * (target - position) + b * target_velocity + force
+    velocity = (config.mass * velocity + h * pull) / (config.mass + h * b + h * h * k)
+    return position + h * velocity, velocity
 
 
 class VirtualDevice:
-    """A `master.device.Device` moved by a scripted hand; see the module's text."""
+    """A `master.device.Device` moved by a scripted hand; see the module's text.
+
+    `applied` [N] is the force on the hand at the last read: the last one written, or zero once the
+    watchdog has let go of it.
+    """
 
     def __init__(self, config: VirtualConfig) -> None:
         self.axes = config.axes
+        self.applied: Axes = (0.0,) * config.axes
         self._config = config
-        self._hand, self._targets = build_axes(config)
-        self._position, self._velocity = self._hand["position"], self._hand["velocity"]
-        self._force = self._hand["force"]
+        self._axes = [config.select_axis(axis) for axis in range(config.axes)]
         self._time = 0.0
         self._written = -math.inf
+        self._force = self.applied
+        self._hands = [script.compute_motion(-delay) for _, script, delay in self._axes]
 
     def read(self, time_s: float) -> HandState:
         """Move the hand on to `time_s` and return its state."""
         gap = time_s - self._time
         if gap > 0.0:
             steps = min(max(round(gap / _SUBSTEP), 1), _SUBSTEPS_MAX)
-            advance_hand(self._hand, self._targets, self._time, gap / steps, steps, self._written)
+            h = gap / steps
+            for number in range(1, steps + 1):
+                self._advance(self._time + number * h, h)
             self._time = time_s
-        position, velocity = tuple(self._position.tolist()), tuple(self._velocity.tolist())
+        position, velocity = zip(*self._hands, strict=True)
         return HandState(position, velocity, self._config.is_pressed(time_s))
+
+    def _advance(self, time_s: float, h: float) -> None:
+        if time_s - self._written > _WATCHDOG:
+            self._force = (0.0,) * self.axes
+        self.applied = self._force
+        self._hands = [
+            advance_hand(axis, x, v, time_s - delay, force, h)
+            for (x, v), force, (axis, _, delay) in zip(
+                self._hands, self._force, self._axes, strict=True
+            )
+        ]
 
     def write(self, force: Axes) -> None:
         """Hold `force` from now on, until the next write or the watchdog."""
         if len(force) != self.axes or not all(map(math.isfinite, force)):
             raise DeviceFault(f"virtual device: refuses force {force}")
-        self._force[:] = force
+        self._force = tuple(force)
         self._written = self._time
 
     def close(self) -> None:
         """Let go of the force."""
-        self._force[:] = 0.0
+        self._force = self.applied = (0.0,) * self.axes

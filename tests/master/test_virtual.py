@@ -7,43 +7,30 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from master.device import DeviceFault
-from master.devices.virtual import (
-    Hold,
-    Reaches,
-    Sine,
-    VirtualConfig,
-    VirtualDevice,
-    advance_hand,
-    build_axes,
-    compute_motion,
-)
+from master.devices.virtual import Hold, Reaches, Sine, VirtualConfig, VirtualDevice, advance_hand
 
 REFERENCES = [Hold(0.01), Sine(offset=0.02, frequency=3.0), Reaches()]
 
 
-def follow(reference):
-    """Return position and velocity of a reference as a function of time."""
-    axes, targets = build_axes(VirtualConfig(reference=reference))
-    return lambda time_s: compute_motion(axes, targets, 0, time_s)
-
-
 @pytest.mark.parametrize("reference", REFERENCES, ids=repr)
 def test_the_velocity_of_a_reference_is_the_slope_of_its_position(reference):
-    times, motion = np.linspace(0.05, 12.0, 4001), follow(reference)
+    times = np.linspace(0.05, 12.0, 4001)
     h = 1e-6
-    slopes = [(motion(t + h)[0] - motion(t - h)[0]) / (2 * h) for t in times]
-    assert [motion(t)[1] for t in times] == pytest.approx(slopes, abs=1e-4)
+    slopes = [
+        (reference.compute_motion(t + h)[0] - reference.compute_motion(t - h)[0]) / (2 * h)
+        for t in times
+    ]
+    assert [reference.compute_motion(t)[1] for t in times] == pytest.approx(slopes, abs=1e-4)
 
 
 def test_reaches_visit_every_target_and_rest_there():
     reaches = Reaches(targets=(0.02, -0.01, 0.03), reach=0.6, rest=0.4)
-    motion = follow(reaches)
-    assert motion(0.0) == (0.0, 0.0)
+    assert reaches.compute_motion(0.0) == (0.0, 0.0)
     for lap in range(2):
         for number, target in enumerate(reaches.targets):
             end = 3 * lap + number + 1
             for time in (end - 0.4 + 1e-9, end - 0.2, end - 1e-9):
-                assert motion(time) == pytest.approx((target, 0.0), abs=1e-12)
+                assert reaches.compute_motion(time) == pytest.approx((target, 0.0), abs=1e-12)
 
 
 def test_the_hand_moves_as_its_equation_says():
@@ -84,12 +71,10 @@ def test_the_way_of_the_hand_does_not_hang_on_how_often_it_is_read():
 )
 def test_left_alone_it_never_gains_energy_at_any_step(mass, stiffness, damping, steps):
     config = VirtualConfig(mass=mass, stiffness=stiffness, damping=damping, reference=Hold())
-    axes, targets = build_axes(config)
-    axes["position"], axes["velocity"] = x, v = 0.01, -0.3
+    x, v = 0.01, -0.3
     energy = 0.5 * mass * v * v + 0.5 * stiffness * x * x
     for h in steps:
-        advance_hand(axes, targets, 0.0, h, 1, 0.0)
-        x, v = axes["position"][0], axes["velocity"][0]
+        x, v = advance_hand(config, x, v, 0.0, 0.0, h)
         now = 0.5 * mass * v * v + 0.5 * stiffness * x * x
         assert now <= energy * (1 + 1e-9)
         energy = now
@@ -99,9 +84,9 @@ def test_the_watchdog_lets_go_when_writes_cease_even_within_one_read():
     device = VirtualDevice(VirtualConfig(reference=Hold(), damping=30.0))
     device.write((3.0,))
     device.read(0.049)
-    assert device._hand["force"] == 3.0
+    assert device.applied == (3.0,)
     device.read(0.052)
-    assert device._hand["force"] == 0.0
+    assert device.applied == (0.0,)
     gap = VirtualDevice(VirtualConfig(reference=Hold(), damping=30.0))
     gap.write((3.0,))
     assert abs(gap.read(1.0).position[0]) < 1e-4
@@ -129,4 +114,4 @@ def test_closing_lets_go():
     device.write((1.0,))
     device.read(0.001)
     device.close()
-    assert device._hand["force"] == 0.0
+    assert device.applied == (0.0,)

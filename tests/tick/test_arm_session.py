@@ -39,7 +39,7 @@ def record():
             depth, _ = locate_surfaces(rig._arm.contacts, motion)
             surface = rig._arm.contacts.surfaces[0]
             rows["travel"].append(travel)
-            rows["hand"].append(session.master._device._hand["position"].copy())
+            rows["hand"].append([x for x, _ in session.master._device._hands])
             rows["felt"].append(np.array(session.master._force[:4]))
             rows["tip"].append(compute_tip_pose(arm, travel[:3] / radius[:3])[:3, 3])
             rows["pressed"].append(press_surface(surface, depth[0], depth[0], 1e-3)[0])
@@ -169,9 +169,9 @@ def press_wall(pressed, round_trip, seconds):
         session = Session(stack, (*pressed, *late), file=FILE, delay_s=round_trip / 2.0)
         master, coupled = session.master, np.zeros(4)
         for _ in range(round(1000 * (seconds + 2.0 * round_trip))):
-            before = master._device._hand["position"].copy()
+            before = np.array([x for x, _ in master._device._hands])
             session.tick()
-            hands.append(master._device._hand["position"].copy())
+            hands.append([x for x, _ in master._device._hands])
             worked.append(coupled @ (hands[-1] - before))
             coupled = master._force[:4] - master.memory.local_force[:4]
             felt.append(master._force[:4].copy())

@@ -23,9 +23,9 @@ COUNTED = 100  # ticks
 REPORTED = 500  # ticks between two reports, when the meters begin new spans
 
 # 'call' events of a tick, entries into compiled code among them; 'c_call' events
-# of Python's 7 are the scripted hand's, 3 a call of rig or device those that tell a slow one, 2
+# of Python's 16 are the scripted hand's, 3 a call of rig or device those that tell a slow one, 2
 # the watch for a suspension; of C's 4 are the tag of a message, 5 another's check
-MASTER_PYTHON, MASTER_C = 55, 38
+MASTER_PYTHON, MASTER_C = 64, 51
 SLAVE_PYTHON, SLAVE_C = 32, 31
 WIRE = {COMMAND: 324, STATE: 512, TENDONS: 1460, HAND: 260}  # [B]
 HELD = 50_000  # [B] at once, within a tick of both sides; most of it in one with a report
