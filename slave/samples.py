@@ -33,7 +33,7 @@ def fill_sample(rows: StructArray, index: int, sample: RigSample) -> None:
     channels = _MISSING.copy()
     for k, channel in enumerate(values):
         if channel is not None:
-            channels[k, : len(channel)] = channel
+            channels[k, : len(channel)] = channel[:MAX_TENDONS]
     has_displacement = sample.proximal_displacement is not None
     _fill_row(rows, index, float(sample.time_s), has_displacement, channels)
 
