@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
-import yaml
-
 from slave.tendon_config import TendonConfig
 from teleop.config import loading, strict_yaml
 from teleop.config.arm import ArmConfig
@@ -126,7 +124,7 @@ def load(path: Path) -> Calibration:
 
 def save(path: Path, calibration: Calibration) -> None:
     """Write a calibration file atomically."""
-    text = yaml.safe_dump(loading.as_tree(calibration), sort_keys=False, allow_unicode=True)
+    text = strict_yaml.format_document(loading.as_tree(calibration))
     write_text_file(path, text, "the calibration")
 
 

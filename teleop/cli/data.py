@@ -21,6 +21,7 @@ from estimator.array_types import Array
 from estimator.plausibility import find_channel_faults
 from estimator.report_table import Table
 from teleop.cli.diagnose.diagnosis_run import TENSIONS
+from teleop.config import strict_yaml
 from teleop.config.loading import as_tree
 from teleop.config.options import TABLE_OPTIONS, add_options
 from teleop.data.column_units import split_scale
@@ -160,8 +161,6 @@ def plot_text(values: Array) -> str:
 
 def format_mapping(table: MeasuredTable, mapping: TableMapping) -> str:
     """Return a mapping file with the columns and units that were found."""
-    import yaml
-
     columns = {}
     for name, (source, _) in Reading.from_table(table).channels.items():
         by_rate = name == "time" and mapping.rate_hz is not None
@@ -169,7 +168,7 @@ def format_mapping(table: MeasuredTable, mapping: TableMapping) -> str:
         columns[name] = MappedColumn(column=source.column, unit=unit, scale=scale)
     given = dataclasses.replace(mapping, columns=MappedColumns(**columns))
     tree = as_tree(given)
-    text: str = yaml.safe_dump(_drop_defaults(tree), sort_keys=False)
+    text = strict_yaml.format_document(_drop_defaults(tree))
     return f"# how {table.path.name} was read by `teleop data show`; for --mapping\n{text}"
 
 

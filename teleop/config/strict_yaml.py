@@ -1,4 +1,4 @@
-"""Strict YAML: unique keys, YAML 1.2 scalars, bounded size, one-line errors."""
+"""Strict YAML: unique keys, YAML 1.2 scalars, bounded size, one-line errors; its writer."""
 
 import re
 from collections.abc import Hashable
@@ -44,6 +44,10 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
+class _Dumper(yaml.SafeDumper):
+    """Quotes text that YAML 1.1 or 1.2 would take for something else."""
+
+
 for _tag, _pattern, _first in (
     ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
     ("bool", r"true|True|TRUE|false|False|FALSE", list("tTfF")),
@@ -55,9 +59,10 @@ for _tag, _pattern, _first in (
         list("-+.0123456789"),
     ),
 ):
-    _Loader.add_implicit_resolver(
-        f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), _first
-    )
+    for _side in (_Loader, _Dumper):
+        _side.add_implicit_resolver(
+            f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), _first
+        )
 
 
 def _count_values(node: yaml.Node, counts: dict[yaml.Node, int | None]) -> int:
@@ -94,6 +99,12 @@ def parse(text: str, place: str) -> Any:
         raise UsageError(f"{place}: nested too deeply") from error
     except ValueError as error:  # an integer with thousands of digits
         raise UsageError(f"{place}: {error}") from error
+
+
+def format_document(tree: Any) -> str:
+    """Return the YAML text that `parse` reads back as `tree`, of mappings, lists and scalars."""
+    text: str = yaml.dump(tree, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
+    return text
 
 
 def find_lines(text: str) -> dict[tuple[str, ...], int]:

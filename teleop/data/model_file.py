@@ -24,7 +24,6 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 
 from estimator.diagnosis.dataset import COMPLIANCE, FRICTION, TIP_COMPLIANCE, BaseLaw, Model
 from estimator.diagnosis.outcome import Diagnosis, LiveError, Verdict
@@ -101,7 +100,7 @@ def to_yaml(saved: SavedModel, remark: str) -> str:
     lines = [f"# {line}" for line in remark.splitlines()]
     if saved.transmission:
         transmission = {"transmission": dict(saved.transmission)}
-        return "\n".join(lines) + "\n" + yaml.safe_dump(transmission, sort_keys=False)
+        return "\n".join(lines) + "\n" + strict_yaml.format_document(transmission)
     tree = {
         "base": {
             key: float(value) for key, value in zip(BASE_PARAMETERS, model.shared, strict=False)
@@ -127,7 +126,7 @@ def to_yaml(saved: SavedModel, remark: str) -> str:
         + ", ".join(f"{p.name} [{p.unit or 1}]" for p in effect.parameters)
         for effect, _ in model.effects
     ]
-    return "\n".join([*lines, *units]) + "\n" + yaml.safe_dump(tree, sort_keys=False)
+    return "\n".join([*lines, *units]) + "\n" + strict_yaml.format_document(tree)
 
 
 def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> SavedModel:

@@ -17,10 +17,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Self
 
-import yaml
 from rich.console import RenderableType
 
 from master.devices.program import SOCKET_VARIABLE, ProgramConfig, ProgramOperator
+from teleop.config import strict_yaml
 from teleop.config.loading import ConfigDocument, as_tree
 from teleop.config.overrides import Override
 from teleop.errors import TeleopError, UsageError
@@ -268,7 +268,9 @@ def _read_document(
 ) -> ConfigDocument:
     """Return a config, from wherever it comes, as a document."""
     if isinstance(config, SessionConfig):
-        document = ConfigDocument(text=yaml.safe_dump(_drop_default_place(as_tree(config))))
+        document = ConfigDocument(
+            text=strict_yaml.format_document(_drop_default_place(as_tree(config)))
+        )
     else:
         document = ConfigDocument.read(None if config is None else Path(config))
     return document.override(*(Override.from_value(key, value) for key, value in overrides.items()))

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
-import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from teleop.config import strict_yaml
 from teleop.config.loading import SESSION_KEYS, ConfigDocument, as_tree, load
 from teleop.config.overrides import Override
 from teleop.config.ranges import MAY_BE_INFINITE
@@ -404,7 +404,7 @@ EVERYTHING = st.builds(
     gains=st.lists(NUMBER, max_size=3).map(tuple),
     gain=st.one_of(NUMBER, st.lists(NUMBER, max_size=3).map(tuple)),
     mode=st.sampled_from(["position", "rate", 1]),
-    name=st.text(),
+    name=st.text() | st.sampled_from(["1e3", "no", "012", "1:30", "null", "0.5", "=", "<<"]),
     folder=st.one_of(st.none(), st.just(Path("/x"))),
     tendons=st.integers(1, 100),
     pretension=NUMBER,
@@ -417,7 +417,7 @@ EVERYTHING = st.builds(
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25)
 def test_what_as_tree_writes_load_reads_back(tmp_path, built):
     path = tmp_path / "config.yaml"
-    path.write_text(yaml.safe_dump({"slave": as_tree(built)}))
+    path.write_text(strict_yaml.format_document({"slave": as_tree(built)}))
     assert load(path, Everything, "slave") == built
 
 

@@ -12,10 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
 
-import yaml
-
 from master.devices.hid.driver import Controls, Share
-from teleop.config import loading
+from teleop.config import loading, strict_yaml
 from teleop.errors import UsageError
 from teleop.runtime.files import find_config_folder
 from teleop.runtime.process import write_text_file
@@ -88,9 +86,7 @@ def save(path: Path | None, signs: ForceSigns) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"{target.parent}: cannot be created: {error.strerror}") from error
-    write_text_file(
-        target, yaml.safe_dump(loading.as_tree(signs), sort_keys=False), "the force signs"
-    )
+    write_text_file(target, strict_yaml.format_document(loading.as_tree(signs)), "the force signs")
 
 
 # --- find the force sign of an axis: push it gently once each way and observe its motion
