@@ -72,7 +72,7 @@ def add_sample(
 ) -> None:
     """Add one sample; a missing bench value (NaN) or estimate is ignored.
 
-    `table` is what the bench's cell reads, of `tip_reading.reading_table`.
+    `table` is what the bench's cell reads, of `build_reading_table`.
     """
     error = compute_reading(table, estimate) - measured
     if not math.isfinite(error):
