@@ -9,7 +9,6 @@ import tempfile
 from collections import Counter
 from functools import cache
 from pathlib import Path
-from random import Random
 
 import pytest
 from hypothesis import settings
@@ -107,21 +106,6 @@ def pytest_xdist_auto_num_workers() -> int:
     return max(2, 3 * (os.cpu_count() or 1) // 2)
 
 
-class ShuffledPackage(pytest.Package):
-    """Collects in an order of its worker's own: asserts that one has rewritten, others load."""
-
-    def collect(self) -> list[pytest.Item | pytest.Collector]:
-        nodes = list(super().collect())
-        Random(os.environ.get("PYTEST_XDIST_WORKER")).shuffle(nodes)  # noqa: S311
-        return nodes
-
-
-def pytest_collect_directory(path: Path, parent: pytest.Collector) -> pytest.Collector | None:
-    if (path / "__init__.py").is_file():
-        return ShuffledPackage.from_parent(parent, path=path)
-    return None
-
-
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Import no file of which nothing is asked for: that takes longer than many a test."""
     if not (collection_path.name.startswith("test_") and collection_path.suffix == ".py"):
@@ -145,7 +129,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     tests = Counter(item.path for item in items)
     first = {Path(__file__).parent / place: number for number, place in enumerate(FIRST)}
-    items.sort(key=lambda item: (first.get(item.path, len(first)), -tests[item.path], item.path))
+    items.sort(key=lambda item: (first.get(item.path, len(first)), -tests[item.path]))
     for item in items:
         if is_in(item.path, REAL_TIME):
             item.add_marker("real_time")
