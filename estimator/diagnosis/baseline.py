@@ -325,7 +325,7 @@ def _refit_from(combined: tuple[Dataset, Fit], trial: tuple[Dataset, Fit]) -> tu
     values = whole.base.values(model.shared, model.own[0])
     start = model._replace(shared=tuple(values[p.name] for p in dataset.base.shared))
     refit = fit_model(dataset, build_unsimulated_contexts(whole, whole_fit), start, LAW_ROUNDS)
-    return dataset, min((fit, refit), key=lambda one: compute_cost(dataset, one))
+    return dataset, min((fit, refit), key=lambda candidate: compute_cost(dataset, candidate))
 
 
 def _fit_combined_law(trials: Sequence[tuple[Dataset, Fit]], workers: int) -> tuple[Dataset, Fit]:

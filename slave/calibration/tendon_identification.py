@@ -295,8 +295,8 @@ def _measure_loop(record: ProcedureData, tendon: int) -> float:
     moved, held = record.loop_tension[:, :, tendon]
     rows = zip(moved, held, dt, strict=True)
     readings = np.array([measure_loop_friction(state, *row) for row in rows])
-    found = readings[np.isfinite(readings)]
-    return round_significant(float(np.median(found))) if len(found) else 0.0
+    finite = readings[np.isfinite(readings)]
+    return round_significant(float(np.median(finite))) if len(finite) else 0.0
 
 
 def _scale_sections(model: Sheath, K: float) -> tuple[SectionConfig, ...]:
