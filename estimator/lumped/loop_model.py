@@ -24,6 +24,7 @@ _SPRINGS = 2 * NODES
 _TIP = NODES - 1
 _APPROACH = 12  # steps from rest to the first sample, and from each turn before it to the next
 _SUBSTEP_MIN = 1.0 / 64.0  # of a step
+_STEP_RATIO_MAX = 3.0  # of a step to that before it, from which contacts are extrapolated
 _COMPLIANCE_MIN = 1e-9  # [m/N] of the load; below it the driven pulley is blocked
 _STEP = np.diff(PLACES)
 FRICTION_SHARES = np.concatenate([_STEP, [0.0], _STEP[::-1]])
@@ -107,7 +108,8 @@ def _advance_loop(scalars: Array, stiffness: Array, samples: Array) -> Array:
     tension, work = np.full(n + 1, scalars[_PRETENSION]), np.empty((WORK_ROWS, n))
     friction, drag = np.empty(n), np.empty(n)
     bristle, dashpot = np.empty(n), np.empty(n)
-    q = v = a = drive = 0.0
+    q = v = a = drive = last_step = 0.0
+    last_move = np.zeros(n)
     for i in range(len(samples)):
         row = samples[i]
         progress, share = 0.0, 1.0
@@ -118,7 +120,10 @@ def _advance_loop(scalars: Array, stiffness: Array, samples: Array) -> Array:
             line = _build_line(
                 scalars, stiffness, row, dt, q, v, a, friction, drag, bristle, dashpot
             )
+            step = goal - drive
             trial[:] = place
+            if not line.is_rigid and abs(step) < _STEP_RATIO_MAX * abs(last_step):
+                trial += step / last_step * last_move  # Newton's method begins close to its end
             sliding_old[:] = sliding
             solved = solve_balance(line, goal, place, force, sliding, trial, tension, work)
             if not solved:
@@ -132,6 +137,7 @@ def _advance_loop(scalars: Array, stiffness: Array, samples: Array) -> Array:
             progress += share
             if not line.is_rigid:
                 _store_friction(line, tension, place, trial, sliding, force)
+            last_move, last_step = trial - place, step
             place[:] = trial
             drive = goal
             q_new = place[_TIP]
