@@ -1,7 +1,7 @@
 """Which columns of a file are the channels: found by their names, or asked for by `--column`."""
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -75,12 +75,16 @@ def detect_file_units(
 def is_travel_pair(raw: RawTable, columns: Columns) -> bool:
     """Return whether a file has both travels, and nothing that may be a tension."""
     names = columns.list_names()
-    is_tension = re.compile(_CHANNEL_WORDS["proximal_tension"], re.IGNORECASE)
     return (
         columns.is_standard("proximal_tension")
         and all(names[f"{end}_displacement"] in raw.columns for end in ("proximal", "distal"))
-        and not any(is_tension.search(name) for name in raw.columns)
+        and not _list_tensions(raw.columns)
     )
+
+
+def _list_tensions(names: Iterable[str]) -> list[str]:
+    is_tension = re.compile(_CHANNEL_WORDS["proximal_tension"], re.IGNORECASE)
+    return [name for name in names if is_tension.search(name)]
 
 
 def find_columns(
@@ -120,6 +124,12 @@ def find_columns(
             raise UsageError(
                 f"{path}: column {unclear!r} states no unit that fits; say it: --column "
                 f"'{what}={unclear}[{unit}]'{rate}{_ask_for_tension(item, columns, raw, unclaimed)}"
+            )
+        candidates = _list_tensions(unclaimed) if item == "proximal_tension" else []
+        if len(candidates) > 1 and not optional:
+            raise UsageError(
+                f"{path}: {' and '.join(candidates)}: say which is the tension at the housing: "
+                f"--column 'proximal_tension={candidates[0]}'; or an antagonistic pair: teleop pair"
             )
         hint = suggest_spelling(name, unclaimed, cutoff=0.88 if optional else 0.6)
         advice = _explain_missing(item, unclaimed) + _ask_for_tension(item, columns, raw, unclaimed)

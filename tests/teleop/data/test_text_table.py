@@ -359,6 +359,10 @@ REFUSED = {
         ["which is it, 'time_ms'"],
     ),
     "no tension at the housing": (PLAIN.replace(NAMES[1], "distal_tension_N"), ["load cell"]),
+    "two tensions": (
+        PLAIN.replace(NAMES[1], "tension_a_N").replace(NAMES[2], "tension_b_N"),
+        ["tension_a_N and tension_b_N", "--column 'proximal_tension=tension_a_N'", "teleop pair"],
+    ),
     "no tension": ("\n".join(f"{line.split(',')[0]},1" for line in PLAIN.split()), ["load cell"]),
     "a current": (PLAIN.replace(NAMES[1], "motor_current_A"), ["no column 'proximal_tension_N'"]),
     "a line of numbers alone": ("1.5,2,3\n", ["must contain the column names"]),
