@@ -14,7 +14,7 @@ stays, h says that the tip rests: the travel changes by e_h. Afterwards the tip 
 not the other way, most often by little. A piece that fits no hypothesis is ignored, and taken as
 a sign of a change. All weights decay towards the prior, by `HAZARD` and `DRIFT`; beyond that, the
 interval of K grows by `GROWTH` with the time since pieces last told K from others. A sensing loop
-in the tube, if there is one, measures K itself: `estimator.sensing_loop`.
+in the tube, if there is one, measures K itself: `estimator.sensing_loop_friction`.
 
 This holds for one tendon against a spring or an environment that yields to it. Where something else
 moves the tip, as the other tendon of a joint does, pieces contradict each other.
@@ -43,7 +43,7 @@ from estimator.online import online
 from estimator.online.estimator_state import EstimatorState, PreparedTendon
 from estimator.online.online import Estimates, TendonModel
 from estimator.online.tendon_estimate import INVALID_INPUT, UNINITIALISED, TendonEstimate
-from estimator.sensing_loop import AGE_MAX_S, LoopState, measure_loop_friction
+from estimator.sensing_loop_friction import AGE_MAX_S, SensingLoopState, measure_loop_friction
 from estimator.structs import F64, I64, Field, Flag, Struct, StructArray, view_struct
 
 FACTOR_COUNT, FACTOR_MIN, FACTOR_MAX = 27, 0.5, 1.8
@@ -117,7 +117,7 @@ class AdaptedFriction(Struct):
     update_age: F64 = 0.0  # [s] since the last update for the time passed
     pieces: I64 = 0  # of evidence so far
     contradictions: I64 = 0  # of them, those that fit no sheath
-    loop: LoopState
+    loop: SensingLoopState
 
 
 class Adaptation(AdaptedFriction):

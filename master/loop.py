@@ -28,7 +28,7 @@ from teleop.config.ranges import MOTION_MAX
 from teleop.coupling import Side
 from teleop.messages.messages import MAX_JOINTS, Command, SlaveState
 from teleop.session import state_machine
-from teleop.session.state_machine import Inputs, Reason, Session, State
+from teleop.session.state_machine import Reason, Session, SessionInputs, State
 
 
 class MasterMemory(Struct):
@@ -48,7 +48,7 @@ class MasterMemory(Struct):
     rendered: RenderMemory
     limits: WorkspaceLimits
     presence: Presence
-    inputs: Inputs  # of the session in this tick
+    inputs: SessionInputs  # of the session in this tick
     may_render: Flag = False  # whether the session allowed forces in `compute_command`
     has_counted_work: Flag = False  # whether `add_hand_work` counted coupled work there
 

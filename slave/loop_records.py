@@ -96,7 +96,7 @@ class SlaveMemory(Struct):
 class Scratch(Struct):
     """Work arrays of a tick."""
 
-    inputs: state_machine.Inputs
+    inputs: state_machine.SessionInputs
     requested: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of the joints
     tip_velocity: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m/s]
     force: Annotated[Array, Field("f8", MAX_JOINTS)]  # [N] rendered to the hand

@@ -39,7 +39,7 @@ from slave.simulation.joint import (
     init_joint,
 )
 from slave.simulation.sensing_loop import SensingLoopConfig, build_loop, compute_loop_target
-from slave.simulation.tendon import NEUTRAL, Knobs, SheathConfig, divide_sheath
+from slave.simulation.tendon import NEUTRAL, SheathConfig, TendonDeviations, divide_sheath
 from studies.testbed.command import parse_options
 from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate_force
 
@@ -181,7 +181,7 @@ class Conditions(NamedTuple):
     has_loops: bool = False  # there is a sensing loop in each tube
     settle: float = SETTLE_S  # [s] from the change on before T_out is scored
     after: float = AFTER_S  # [s] for which it is scored
-    knobs: Knobs = NEUTRAL  # of the tendons
+    deviations: TendonDeviations = NEUTRAL  # of the tendons
     backlash: float = 0.0  # [m] of the joint
     spring: float = 0.0  # [N/m] of the joint of a pair
     tissue: TissueConfig | None = None  # None: random
@@ -235,8 +235,8 @@ def simulate_use(seed: int, pair: bool, given: Conditions = ORDINARY) -> Use:
     tissue = given.tissue or TissueConfig(position=depth, stiffness=stiffness, exponent=1.0)
     joint = build_joint(JointConfig(tuple(tendons), body, tissue))
     joint = joint._replace(
-        a=joint.a._replace(chain=joint.a.chain._replace(knobs=given.knobs)),
-        b=joint.b._replace(chain=joint.b.chain._replace(knobs=given.knobs)),
+        a=joint.a._replace(chain=joint.a.chain._replace(deviations=given.deviations)),
+        b=joint.b._replace(chain=joint.b.chain._replace(deviations=given.deviations)),
     )
     grow = float(np.exp(rng.uniform(np.log(0.1), np.log(20.0))))
     hand = generate_hand(rng, CHANGE_S + grow + given.settle + given.after)
@@ -320,9 +320,9 @@ def score_use(use: Use, settle: float = SETTLE_S) -> list[Scores]:
 UNCHANGED = Conditions(changes=False)
 DISTURBED = (
     UNCHANGED,
-    UNCHANGED._replace(knobs=Knobs(creep_share=0.05, creep_time=8.0)),
+    UNCHANGED._replace(deviations=TendonDeviations(creep_share=0.05, creep_time=8.0)),
     UNCHANGED._replace(backlash=5e-4),
-    UNCHANGED._replace(knobs=Knobs(presliding=2e-5)),
+    UNCHANGED._replace(deviations=TendonDeviations(presliding=2e-5)),
     UNCHANGED._replace(drift=0.05),
     UNCHANGED._replace(expansion=1e-4),
     UNCHANGED._replace(tissue=TissueConfig(position=0.001, stiffness=900.0, dissipation=20.0)),

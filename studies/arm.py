@@ -38,7 +38,7 @@ from slave.sheath_section import SectionConfig
 from slave.simulation.arm import ArmPlantConfig
 from slave.simulation.environment import FreeConfig, WallConfig
 from slave.simulation.joint import BodyConfig
-from slave.simulation.sensors import LoadCellConfig
+from slave.simulation.sensor_models import LoadCellConfig
 from slave.simulation.space_contacts import PlaneConfig
 from slave.simulation.tendon import SheathConfig
 from slave.tendon_config import TendonConfig

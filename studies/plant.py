@@ -24,7 +24,7 @@ from slave.rigs.simulated import (
     build_joint,
 )
 from slave.simulation.arm import ArmPlantConfig
-from slave.simulation.effects import compute_knobs
+from slave.simulation.effects import compute_deviations
 from slave.simulation.effects.elasticity import Creep, NonlinearStiffness
 from slave.simulation.effects.friction import (
     ConstantDrag,
@@ -104,7 +104,7 @@ def print_effects() -> None:
     joint, way = build_joint(build_config(1, 60)), generate_path(STEPS)
     start, plain = init_joint(joint), 0.0
     for effect in (FrictionStep(change=0.0), *EFFECTS):
-        chain = joint.a.chain._replace(knobs=compute_knobs([effect], 10.0, [0.0]))
+        chain = joint.a.chain._replace(deviations=compute_deviations([effect], 10.0, [0.0]))
         changed = joint._replace(a=joint.a._replace(chain=chain))
         took = measure_us(lambda: drive_joint(changed, start, way), 1, 3) / STEPS  # noqa: B023
         plain = plain or took

@@ -41,8 +41,8 @@ class TendonModel:
         What a diagnosis found beyond the law of the sheath, if anything; of its corrections of
         readings, at most `reading_correction.MAX_CORRECTIONS`.
     loop_friction
-        ln of the tension ratio over a sensing loop in the tube (`estimator.sensing_loop`) while K
-        is that of `sheath`; 0 without one.
+        ln of the tension ratio over a sensing loop in the tube (`estimator.sensing_loop_friction`)
+        while K is that of `sheath`; 0 without one.
     tip_effects
         Effects, with their values, of a bench's load cell at the tip; only errors go by them.
     """

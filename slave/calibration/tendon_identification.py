@@ -19,7 +19,7 @@ from estimator.calibration.calibration import CalibrationError
 from estimator.fitting import COVERAGE_FACTOR, MeasuredValue
 from estimator.law.sheath import Sheath
 from estimator.plausibility import find_implausible_parameter
-from estimator.sensing_loop import LoopState, measure_loop_friction
+from estimator.sensing_loop_friction import SensingLoopState, measure_loop_friction
 from estimator.structs import view_struct
 from slave.calibration.calibration_file import TendonCalibration, ValueWithUncertainty
 from slave.calibration.config import KnownSheathConfig
@@ -291,7 +291,7 @@ def _measure_loop(record: ProcedureData, tendon: int) -> float:
     """Return the friction of its sensing loop, the median reading; 0 without one."""
     if record.loop_tension is None:
         return 0.0
-    state, dt = view_struct(LoopState.array()), np.diff(record.time, prepend=record.time[0])
+    state, dt = view_struct(SensingLoopState.array()), np.diff(record.time, prepend=record.time[0])
     moved, held = record.loop_tension[:, :, tendon]
     rows = zip(moved, held, dt, strict=True)
     readings = np.array([measure_loop_friction(state, *row) for row in rows])

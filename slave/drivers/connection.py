@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 
 from slave.drivers import packets
-from slave.drivers.driver import Channels, Counts, DriverFault, Reading
+from slave.drivers.driver import BusReading, Channels, Counts, DriverFault
 from slave.drivers.driver_table import DriverConfig
 from teleop.config.loading import as_tree
 from teleop.runtime.child_process import start_module
@@ -36,7 +36,7 @@ class DriverProcess:
             self.close()
             raise
 
-    def read(self) -> list[Reading]:
+    def read(self) -> list[BusReading]:
         """Return the readings since the last call, oldest first; `DriverFault` if it failed."""
         readings = []
         while (packet := packets.receive_packet(self._end)) is not None:

@@ -29,7 +29,7 @@ class Channels:
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class BusReading:
     """What the bus told at one time."""
 
     time_s: float  # [s] machine's monotonic clock, when it was sampled
@@ -50,7 +50,7 @@ class BusDriver(Protocol):
     def start(self) -> None:
         """Open the bus, set up and check what is on it, watchdogs of the motors included."""
 
-    def run_cycle(self, target: Counts | None) -> Sequence[Reading]:
+    def run_cycle(self, target: Counts | None) -> Sequence[BusReading]:
         """Exchange values once; return the new readings, oldest first.
 
         Waits for the bus, less than a third of the motors' watchdog. The newest targets, shape

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slave.drivers.driver import Counts, Reading
+from slave.drivers.driver import BusReading, Counts
 
 READY, READING, FAULT, COUNTS = b"R", b"S", b"F", b"C"  # from the driver
 TARGET, STOP, PAUSE = b"T", b"E", b"P"  # to the driver
@@ -37,17 +37,17 @@ def create_socket_pair() -> tuple[socket.socket, socket.socket]:
     return ends
 
 
-def pack_reading(reading: Reading) -> bytes:
+def pack_reading(reading: BusReading) -> bytes:
     """Return a reading as a packet."""
     head = np.array([reading.time_s, reading.follows, len(reading.position)])
     return READING + np.concatenate([head, reading.position, reading.cell]).tobytes()
 
 
-def unpack_reading(packet: bytes) -> Reading:
+def unpack_reading(packet: bytes) -> BusReading:
     """Return the reading in a packet."""
     values: Values = np.frombuffer(packet, np.float64, offset=1)
     first = 3 + int(values[2])
-    return Reading(float(values[0]), values[3:first], values[first:], bool(values[1]))
+    return BusReading(float(values[0]), values[3:first], values[first:], bool(values[1]))
 
 
 def pack_target(target: Counts) -> bytes:

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from slave.drivers import packets
-from slave.drivers.driver import BusDriver, Channels, Counts, DriverFault, Reading
+from slave.drivers.driver import BusDriver, BusReading, Channels, Counts, DriverFault
 from slave.drivers.driver_table import DriverConfig, open_driver
 from teleop.config.loading import ConfigDocument
 from teleop.errors import TeleopError
@@ -115,7 +115,7 @@ def serve_driver(driver: BusDriver, end: socket.socket, slave: ParentProcess) ->
 def _run_cycles(driver: BusDriver, end: socket.socket, slave: ParentProcess) -> None:
     target: Counts | None = None
     ordered_s, silent_s = 0.0, TARGET_TIMEOUT_S  # when the target came, and how long it counts
-    waiting: deque[Reading] = deque(maxlen=QUEUE_LENGTH)
+    waiting: deque[BusReading] = deque(maxlen=QUEUE_LENGTH)
     due_s = counts_s = time.monotonic()
     suspension = SuspensionWatch()
     while True:

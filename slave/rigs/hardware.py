@@ -12,7 +12,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from slave.drivers.connection import DriverProcess
-from slave.drivers.driver import Channels, Counts, DriverFault, Reading
+from slave.drivers.driver import BusReading, Channels, Counts, DriverFault
 from slave.drivers.driver_table import DriverConfig
 from slave.drivers.dynamixel.config import DynamixelConfig
 from slave.rig import RigFault, RigSample, number_joint_tendons
@@ -42,7 +42,7 @@ class Aligner:
         self._last_s = -math.inf
 
     def align(
-        self, motors: Iterable[Reading], cells: Iterable[Reading]
+        self, motors: Iterable[BusReading], cells: Iterable[BusReading]
     ) -> Iterator[tuple[float, Counts, Counts]]:
         """Yield the new samples, oldest first: time [s], motor positions, cells in counts.
 
@@ -67,14 +67,14 @@ class Aligner:
 class _ReadingStream:
     """Readings of one bus, of which `select` takes the values in use."""
 
-    def __init__(self, select: Callable[[Reading], Counts]) -> None:
+    def __init__(self, select: Callable[[BusReading], Counts]) -> None:
         self.newest_s = -math.inf
         self.period_s = math.nan  # mean; comparisons with an unknown one fail
         self._select = select
         self._kept: deque[tuple[float, Counts]] = deque(maxlen=READINGS_KEPT)
         self._waiting: deque[tuple[float, Counts]] = deque(maxlen=READINGS_KEPT)
 
-    def extend(self, readings: Iterable[Reading]) -> None:
+    def extend(self, readings: Iterable[BusReading]) -> None:
         """Add readings; those that are not newer than the last are dropped."""
         for reading in readings:
             elapsed = reading.time_s - self.newest_s

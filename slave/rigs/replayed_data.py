@@ -15,7 +15,7 @@ from slave.rig import RigFinished, RigSample
 from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.data.mapping_file import map_columns, read_mapping
 from teleop.data.measured_table import get_loop_tension, read_tables
-from teleop.data.reading import Reading, format_reading
+from teleop.data.read_summary import ReadSummary, format_read_summary
 from teleop.data.standard_columns import Columns
 from teleop.messages.messages import MAX_JOINTS
 from teleop.runtime.process import print_warning
@@ -70,7 +70,7 @@ class ReplayedRig:
         self.joints: tuple[tuple[int, ...], ...] = tuple((k,) for k in range(self.tendons))
         self._loop = config.loop
         self._read_as = " / ".join(
-            format_reading(Reading.from_table(table).to_json()) for table in tables
+            format_read_summary(ReadSummary.from_table(table).to_json()) for table in tables
         )
         self._time = tables[0].time
         clean = [remove_spikes(table) for table in tables]

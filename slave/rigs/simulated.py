@@ -21,7 +21,7 @@ from slave.simulation.arm import (
     init_arm,
 )
 from slave.simulation.effects import EffectConfig
-from slave.simulation.effects.joint import AntagonistTension
+from slave.simulation.effects.ends import AntagonistTension
 from slave.simulation.effects.schedule import JointSchedule, SampleSchedule, SensorSchedule
 from slave.simulation.environment import (
     EnvironmentConfig,
@@ -45,7 +45,7 @@ from slave.simulation.joint import (
 )
 from slave.simulation.motor import MotorConfig, build_motor
 from slave.simulation.sensing_loop import SensingLoopConfig, SensingLoops
-from slave.simulation.sensors import (
+from slave.simulation.sensor_models import (
     CHANNELS,
     EncoderConfig,
     LoadCellConfig,
@@ -210,7 +210,7 @@ class Plant(NamedTuple):
     states: list[JointState]
     targets: Array  # [m] of the motors, shape (joints, 2)
     places: NDArray[np.int64]  # of the tendons in an array of shape (joints, 2)
-    truth: Array  # [N] and [m] in the newest step, shape (4, tendons): `sensors.CHANNELS`
+    truth: Array  # [N] and [m] in the newest step, shape (4, tendons): `sensor_models.CHANNELS`
     sensors: Sensors
     sensed: SensorState
 
@@ -443,7 +443,7 @@ class SimulatedRig:
             if joint is not None:
                 replace_item(self._joints, i, joint)
                 for tendon, part in zip(tendons, joint[:2], strict=False):
-                    self._loops.scale_friction(tendon, part.chain.knobs.friction_scale)
+                    self._loops.scale_friction(tendon, part.chain.deviations.friction_scale)
         self._update_sensors(time)
 
 

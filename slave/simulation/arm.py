@@ -40,7 +40,7 @@ from slave.simulation.friction_nodes import Curve, Response
 from slave.simulation.inertia import LinkMotion, Links, build_links, compute_link_motion
 from slave.simulation.joint import Joint, JointState, TendonState, fill_truth, wind_tendon
 from slave.simulation.motor import MotorState
-from slave.simulation.sensors import CHANNELS
+from slave.simulation.sensor_models import CHANNELS
 from slave.simulation.space_contacts import (
     SpaceContacts,
     SurfaceConfig,
@@ -370,8 +370,8 @@ def advance_arm(
 ) -> Array:
     """Advance all joints by `steps` of `dt` [s], changing the states; return the truth.
 
-    `targets` [m] has shape (joints, 2). The truth has shape (4, joints, 2): `sensors.CHANNELS` of
-    the tendons, those of the tip at the end of the sheath.
+    `targets` [m] has shape (joints, 2). The truth has shape (4, joints, 2): the `CHANNELS` of
+    `sensor_models` of the tendons, those of the tip at the end of the sheath.
     """
     n = len(joints)
     for _ in range(steps):

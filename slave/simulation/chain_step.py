@@ -82,13 +82,13 @@ def recover_state(
         init_coulomb_contact(response, state, recovered)
     stretch = proximal - recovered[POSITION, 1] - response.springs.rest[0]
     recovered[TENSION, 0] = max(0.0, stretch / response.springs.compliance[0])
-    gain = compute_creep_gain(chain.knobs, dt)
+    gain = compute_creep_gain(chain.deviations, dt)
     for i in range(n + 1):
         recovered[CREEP, i] = advance_creep(chain, state[CREEP, i], recovered[TENSION, i], gain)
     for i in range(1, n + 1):
         speed = (recovered[POSITION, i] - state[POSITION, i]) / dt
-        recovered[SPEED, i] = filter_speed(chain.knobs, state[SPEED, i], speed, dt)
+        recovered[SPEED, i] = filter_speed(chain.deviations, state[SPEED, i], speed, dt)
         recovered[CONTACT_GROWTH, i] = advance_contact_growth(
-            chain.knobs, state[CONTACT_GROWTH, i], speed, dt
+            chain.deviations, state[CONTACT_GROWTH, i], speed, dt
         )
     return recovered

@@ -28,7 +28,7 @@ from slave.simulation.environment import (
 )
 from slave.simulation.friction_nodes import Curve, interpolate_curve
 from slave.simulation.motor import Motor, MotorState, advance_motor, init_motor
-from slave.simulation.sensors import CHANNELS
+from slave.simulation.sensor_models import CHANNELS
 from slave.simulation.tendon import Chain, get_tensions, init_chain_state
 from teleop.config.ranges import build_ranged_field, check_ranges
 
@@ -327,7 +327,7 @@ def move_body(
 
 @jit_compile
 def compute_truth(joint: Joint, state: JointState) -> Array:
-    """Return the true values of the sensors, shape (4, 2): `sensors.CHANNELS` by tendon."""
+    """Return the true values of the sensors, shape (4, 2): `sensor_models.CHANNELS` by tendon."""
     channels = np.zeros((len(CHANNELS), 2))
     fill_truth(channels[:, 0], joint.a, state.a, state.travel)
     if joint.pair:

@@ -94,8 +94,8 @@ class SensingLoops:
         """Let all friction of the tube of a tendon be `scale` times that of its config."""
         if tendon in self._tendons:
             k = self._tendons.index(tendon)
-            joint, knobs = self._healthy[k], NEUTRAL._replace(friction_scale=scale)
-            chain = joint.a.chain._replace(knobs=knobs)
+            joint, deviations = self._healthy[k], NEUTRAL._replace(friction_scale=scale)
+            chain = joint.a.chain._replace(deviations=deviations)
             replace_item(self._joints, k, joint._replace(a=joint.a._replace(chain=chain)))
 
     def advance(self, time: float, steps: int, dt: float) -> None:

@@ -16,11 +16,11 @@ from slave.sheath_section import SectionConfig
 from teleop.config.ranges import build_ranged_field, check_ranges
 
 # --- run-time parameters of a tendon: one number per effect, neutral by default
-# The chain reads them at every step, so a fault that starts or grows is a changing knob. `effects`
+# The chain reads them at every step, so a fault that starts or grows is a changing value. `effects`
 # changes them by name and time.
 
 
-class Knobs(NamedTuple):
+class TendonDeviations(NamedTuple):
     """The deviations of one tendon from an elastic one with Coulomb friction."""
 
     # friction, of friction
@@ -51,7 +51,7 @@ class Knobs(NamedTuple):
     expansion: float = 0.0  # thermal strain of the tendon less that of the sheath
 
 
-NEUTRAL = Knobs()
+NEUTRAL = TendonDeviations()
 
 # --- sheath config and its discretisation into cells
 
@@ -114,12 +114,12 @@ class Chain(NamedTuple):
     friction: Array  # phi_i [-] shape (n,): friction coefficient times bend angle of a cell
     cell: Array  # [m] shape (n,): its length
     pretension: float  # [N] in every spring while all displacements are zero
-    knobs: Knobs
+    deviations: TendonDeviations
     parted: Array  # [m] shape (n + 1,): gap in a broken spring; 0 = not broken
 
 
 def build_chain(config: SheathConfig, pretension: float) -> Chain:
-    """Return the chain of a sheath, its knobs neutral.
+    """Return the chain of a sheath, its deviations neutral.
 
     `pretension` [N] is the tension all along the tendon while all displacements are zero.
     """
@@ -174,18 +174,18 @@ class Springs(NamedTuple):
 @jit_inline
 def compute_springs(chain: Chain, state: Array, dt: float) -> Springs:
     """Return the springs during a step of `dt` [s] from `state`."""
-    knobs, pretension = chain.knobs, chain.pretension
+    deviations, pretension = chain.deviations, chain.pretension
     total = chain.compliance.sum()
     stiffness = chain.cell.sum() / total
-    toe, compression = knobs.toe_strain * stiffness, knobs.compression / total
-    too_much = knobs.slack / total + knobs.expansion * stiffness
-    at_start = compute_bedding(knobs, toe, compression, pretension)[0]
-    gain = compute_creep_gain(knobs, dt)
-    soft = 1.0 + gain * knobs.creep_share
+    toe, compression = deviations.toe_strain * stiffness, deviations.compression / total
+    too_much = deviations.slack / total + deviations.expansion * stiffness
+    at_start = compute_bedding(deviations, toe, compression, pretension)[0]
+    gain = compute_creep_gain(deviations, dt)
+    soft = 1.0 + gain * deviations.creep_share
     compliance, rest = np.empty_like(chain.compliance), np.empty_like(chain.compliance)
     for i in range(len(compliance)):
         tension = state[TENSION, i]
-        bedding, slope = compute_bedding(knobs, toe, compression, tension)
+        bedding, slope = compute_bedding(deviations, toe, compression, tension)
         offset = bedding - slope * tension - at_start - pretension * soft
         offset += state[CREEP, i] * (1.0 - gain) + too_much
         compliance[i] = chain.compliance[i] * (soft + slope)
@@ -195,15 +195,15 @@ def compute_springs(chain: Chain, state: Array, dt: float) -> Springs:
 
 @jit_compile
 def compute_bedding(
-    knobs: Knobs, toe: float, compression: float, tension: float
+    deviations: TendonDeviations, toe: float, compression: float, tension: float
 ) -> tuple[float, float]:
     """Return E(T) - T [N] and its slope at `tension` [N]."""
     elongation, slope = 0.0, 0.0
     if toe != 0.0:
-        decay = math.exp(-tension / knobs.toe_tension)
+        decay = math.exp(-tension / deviations.toe_tension)
         elongation += toe * (1.0 - decay)
-        slope += toe / knobs.toe_tension * decay
-    excess = tension - knobs.compression_threshold
+        slope += toe / deviations.toe_tension * decay
+    excess = tension - deviations.compression_threshold
     if compression != 0.0 and excess > 0.0:
         elongation += compression * excess * excess
         slope += 2.0 * compression * excess
@@ -211,15 +211,15 @@ def compute_bedding(
 
 
 @jit_compile
-def compute_creep_gain(knobs: Knobs, dt: float) -> float:
+def compute_creep_gain(deviations: TendonDeviations, dt: float) -> float:
     """Return the fraction of the remaining creep completed in a step of `dt` [s]."""
-    return -math.expm1(-dt / knobs.creep_time)
+    return -math.expm1(-dt / deviations.creep_time)
 
 
 @jit_compile
 def advance_creep(chain: Chain, creep: float, tension: float, gain: float) -> float:
     """Return the creep [N] of a spring after a step at `tension` [N], with the step's `gain`."""
-    final = chain.knobs.creep_share * (tension - chain.pretension)
+    final = chain.deviations.creep_share * (tension - chain.pretension)
     return creep + gain * (final - creep)
 
 
@@ -266,58 +266,60 @@ class Contacts(NamedTuple):
 @jit_inline
 def compute_contacts(chain: Chain, state: Array, dt: float) -> Contacts:
     """Return the friction during a step of `dt` [s] from `state`."""
-    knobs, tension = chain.knobs, state[TENSION]
+    deviations, tension = chain.deviations, state[TENSION]
     n = len(chain.friction)
     pull, release, total = np.empty(n), np.empty(n), 0.0
     for i in range(n):
-        friction = chain.friction[i] * knobs.friction_scale
-        if knobs.tension_exponent != 1.0 or knobs.compression_friction != 0.0:
-            friction *= compute_tension_factor(knobs, 0.5 * (tension[i] + tension[i + 1]))
-        if knobs.stribeck_ratio != 0.0:
-            relative = state[SPEED, i + 1] / knobs.stribeck_speed
-            friction *= 1.0 + knobs.stribeck_ratio * math.exp(-relative * relative)
-        friction *= 1.0 + (knobs.static_ratio - 1.0) * state[CONTACT_GROWTH, i + 1]
+        friction = chain.friction[i] * deviations.friction_scale
+        if deviations.tension_exponent != 1.0 or deviations.compression_friction != 0.0:
+            friction *= compute_tension_factor(deviations, 0.5 * (tension[i] + tension[i + 1]))
+        if deviations.stribeck_ratio != 0.0:
+            relative = state[SPEED, i + 1] / deviations.stribeck_speed
+            friction *= 1.0 + deviations.stribeck_ratio * math.exp(-relative * relative)
+        friction *= 1.0 + (deviations.static_ratio - 1.0) * state[CONTACT_GROWTH, i + 1]
         housing = min(friction, NODE_FRICTION_MAX, TOTAL_FRICTION_MAX - total)
-        tip = min(housing * knobs.asymmetry, NODE_FRICTION_MAX)
+        tip = min(housing * deviations.asymmetry, NODE_FRICTION_MAX)
         total += housing
         pull[i] = (2.0 - housing) / (2.0 + housing)
         release[i] = (2.0 + tip) / (2.0 - tip)
-    leaning = n if knobs.presliding > 0.0 or knobs.viscosity > 0.0 else 0
+    leaning = n if deviations.presliding > 0.0 or deviations.viscosity > 0.0 else 0
     bristle, dashpot = np.full(leaning, RIGID_STIFFNESS), np.empty(leaning)
     for i in range(leaning):
-        dashpot[i] = knobs.viscosity * chain.cell[i] / dt
-        if knobs.presliding > 0.0 and chain.friction[i] > 0.0:
-            bristle[i] = chain.friction[i] * knobs.presliding_tension / knobs.presliding
-    return Contacts(pull, release, knobs.drag, bristle, dashpot)
+        dashpot[i] = deviations.viscosity * chain.cell[i] / dt
+        if deviations.presliding > 0.0 and chain.friction[i] > 0.0:
+            bristle[i] = chain.friction[i] * deviations.presliding_tension / deviations.presliding
+    return Contacts(pull, release, deviations.drag, bristle, dashpot)
 
 
 @jit_compile
-def compute_tension_factor(knobs: Knobs, tension: float) -> float:
+def compute_tension_factor(deviations: TendonDeviations, tension: float) -> float:
     """Return the tension-dependent factor of friction at `tension` [N] on the bend."""
-    factor = (max(tension, LIGHT_TENSION) / knobs.tension_reference) ** (
-        knobs.tension_exponent - 1.0
+    factor = (max(tension, LIGHT_TENSION) / deviations.tension_reference) ** (
+        deviations.tension_exponent - 1.0
     )
-    excess = max(0.0, tension - knobs.compression_threshold)
-    return float(factor * (1.0 + knobs.compression_friction * excess))
+    excess = max(0.0, tension - deviations.compression_threshold)
+    return float(factor * (1.0 + deviations.compression_friction * excess))
 
 
 @jit_compile
-def filter_speed(knobs: Knobs, filtered: float, speed: float, dt: float) -> float:
+def filter_speed(deviations: TendonDeviations, filtered: float, speed: float, dt: float) -> float:
     """Return the filtered speed [m/s] after `dt` [s] at `speed`."""
-    if knobs.stribeck_ratio == 0.0:
+    if deviations.stribeck_ratio == 0.0:
         return speed
-    return speed + (filtered - speed) * math.exp(-dt / knobs.stribeck_memory)
+    return speed + (filtered - speed) * math.exp(-dt / deviations.stribeck_memory)
 
 
 @jit_compile
-def advance_contact_growth(knobs: Knobs, growth: float, speed: float, dt: float) -> float:
+def advance_contact_growth(
+    deviations: TendonDeviations, growth: float, speed: float, dt: float
+) -> float:
     """Return the growth R of a contact after `dt` [s] at `speed` [m/s].
 
     dR/dt = (1 - R) / static_time - R |v| / static_distance
     """
-    if knobs.static_ratio == 1.0:
+    if deviations.static_ratio == 1.0:
         return 1.0 if speed == 0.0 else 0.0
-    grow = 1.0 / knobs.static_time
-    rate = grow + abs(speed) / knobs.static_distance
+    grow = 1.0 / deviations.static_time
+    rate = grow + abs(speed) / deviations.static_distance
     final = grow / rate
     return final + (growth - final) * math.exp(-rate * dt)

@@ -27,7 +27,7 @@ from slave.sheath_section import SectionConfig
 from slave.simulation.arm import ArmPlantConfig
 from slave.simulation.environment import FreeConfig
 from slave.simulation.joint import BodyConfig
-from slave.simulation.sensors import EncoderConfig, LoadCellConfig
+from slave.simulation.sensor_models import EncoderConfig, LoadCellConfig
 from slave.simulation.tendon import SheathConfig
 from studies.testbed.command import parse_options
 from teleop.config.arm import ArmConfig

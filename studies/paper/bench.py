@@ -20,7 +20,7 @@ from slave.rigs.virtual_bench import MotionSample, MotionState, Turns
 from slave.sheath_section import SectionConfig
 from slave.simulation.environment import FreeConfig, LoadMotorConfig
 from slave.simulation.joint import BodyConfig
-from slave.simulation.sensors import LoadCellConfig
+from slave.simulation.sensor_models import LoadCellConfig
 from slave.simulation.tendon import SheathConfig
 
 # --- random sheaths to repeat the experiment on

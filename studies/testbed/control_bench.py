@@ -20,7 +20,7 @@ from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, 
 from slave.sheath_section import SectionConfig
 from slave.simulation.environment import EnvironmentConfig, FreeConfig
 from slave.simulation.joint import BodyConfig
-from slave.simulation.sensors import LoadCellConfig
+from slave.simulation.sensor_models import LoadCellConfig
 from slave.simulation.tendon import SheathConfig
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from teleop.session.state_machine import Reason

@@ -34,7 +34,7 @@ from teleop.data.mapping_file import (
     parse_column_options,
 )
 from teleop.data.measured_table import MeasuredTable, read_runs
-from teleop.data.reading import GAP_PERIODS, Reading
+from teleop.data.read_summary import GAP_PERIODS, ReadSummary
 from teleop.errors import UsageError
 from teleop.runtime.output_file import FIGURE_SUFFIXES, OutputFile, save_figure
 from teleop.runtime.process import write_summary, write_text_file
@@ -80,7 +80,7 @@ def main(args: argparse.Namespace) -> int:
         print(Table(("column", "unit", "range", "missing"), tuple(rows)).to_markdown())
         raise
     runs = [run[0] for run in read]
-    table, reading = runs[0], Reading.from_table(runs[0])
+    table, reading = runs[0], ReadSummary.from_table(runs[0])
     summary = reading.to_json() | {"further": list(table.extra)}
     summary["doubts"] = list(find_channel_faults(table, table.units))
     summary["runs"] = [
@@ -107,7 +107,7 @@ def main(args: argparse.Namespace) -> int:
 def format_summary(table: MeasuredTable, summary: dict[str, Any]) -> str:
     """Return the summary as text, with a plot of each channel."""
     si = {k: "s" if k == "time" else table.units.get_unit(k) for k in table.sources}
-    channels = Reading.from_table(table).channels
+    channels = ReadSummary.from_table(table).channels
     rows = [
         (name, source.column, source.unit or "?", unit, *_describe_values(values))
         for (name, (source, values)), unit in zip(channels.items(), si.values(), strict=True)
@@ -162,7 +162,7 @@ def plot_text(values: Array) -> str:
 def format_mapping(table: MeasuredTable, mapping: TableMapping) -> str:
     """Return a mapping file with the columns and units that were found."""
     columns = {}
-    for name, (source, _) in Reading.from_table(table).channels.items():
+    for name, (source, _) in ReadSummary.from_table(table).channels.items():
         by_rate = name == "time" and mapping.rate_hz is not None
         scale, unit = split_scale("" if by_rate else source.unit)
         columns[name] = MappedColumn(column=source.column, unit=unit, scale=scale)
@@ -184,7 +184,7 @@ def draw(table: MeasuredTable, path: Path) -> None:
 
     from estimator.figure_style import use_style
 
-    channels = {k: v for k, (_, v) in Reading.from_table(table).channels.items() if k != "time"}
+    channels = {k: v for k, (_, v) in ReadSummary.from_table(table).channels.items() if k != "time"}
     with use_style():
         figure = Figure(figsize=(8.0, 1.0 + 1.6 * len(channels)), layout="constrained")
         panels = figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]

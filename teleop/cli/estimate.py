@@ -42,7 +42,7 @@ from teleop.config.loading import RECORDING_SUFFIX, as_tree, load
 from teleop.config.options import TABLE_OPTIONS, add_option, add_options
 from teleop.data.mapping_file import load_mapping, parse_column_names
 from teleop.data.measured_table import MeasuredTable, get_loop_tension, read_tables, write_table
-from teleop.data.reading import Reading, format_reading
+from teleop.data.read_summary import ReadSummary, format_read_summary
 from teleop.data.standard_columns import format_numbered_name
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS, PHASE_NAMES
@@ -134,7 +134,7 @@ def main(args: argparse.Namespace) -> int:
     )
     table = tables[joint.index(k)]
     summary: dict[str, Any] = {"data": table.name, "samples": len(table.time)}
-    summary["read_as"] = Reading.from_table(table).to_json()
+    summary["read_as"] = ReadSummary.from_table(table).to_json()
     if args.tendon is not None or len(tendons) > 1:
         summary["tendon"] = format_tendon_name(k, joints)
     if args.fit:
@@ -449,7 +449,7 @@ def save(path: Path, fit: SheathFit, tendon: TendonConfig, table: MeasuredTable,
         tendons=(tendon,),
         rig=rig,
         method=f"{fit.method}; 95 % intervals: {ends}",
-        source=f"{table.path.name}: {format_reading(Reading.from_table(table).to_json())}",
+        source=f"{table.path.name}: {format_read_summary(ReadSummary.from_table(table).to_json())}",
         accepted=fit.accept,
         remark=fit.reason,
     )
@@ -459,7 +459,9 @@ def save(path: Path, fit: SheathFit, tendon: TendonConfig, table: MeasuredTable,
 def format_report(summary: dict[str, Any]) -> list[str]:
     """Return the summary as lines of text."""
     lines = [f"{summary['data']}: {summary['samples']} samples"]
-    lines += [f"read as   {format_reading(summary['read_as'])}"] if "read_as" in summary else []
+    lines += (
+        [f"read as   {format_read_summary(summary['read_as'])}"] if "read_as" in summary else []
+    )
     if "tendon" in summary:
         lines.append(f"tendon    {summary['tendon']} (select with --tendon)")
     if "fit" in summary:

@@ -33,7 +33,7 @@ from teleop.data.file_formats import read_columns
 from teleop.data.mapping_file import TableMapping, load_mapping
 from teleop.data.measured_table import Source, number_samples, parse_column
 from teleop.data.raw_table import RawTable
-from teleop.data.reading import Reading, format_reading, format_readings
+from teleop.data.read_summary import ReadSummary, format_read_summaries, format_read_summary
 from teleop.data.run_splitting import list_runs, split_runs
 from teleop.data.sample_checks import check_effort, check_time
 from teleop.errors import UsageError
@@ -120,7 +120,7 @@ SAMPLES_MIN = 20  # in which a sensor that works changes
 
 def read_records(
     paths: Sequence[Path], config: PairConfig, mapping: TableMapping
-) -> list[tuple[PairRecord, Reading]]:
+) -> list[tuple[PairRecord, ReadSummary]]:
     """Return the records of some files, in the order of their bends, and how each was read.
 
     Raises `UsageError` if a file cannot be read, lacks a column or its bend, or has invalid values.
@@ -131,7 +131,7 @@ def read_records(
 
 def _read_record(
     path: Path, config: PairConfig, mapping: TableMapping
-) -> tuple[PairRecord, Reading]:
+) -> tuple[PairRecord, ReadSummary]:
     bend = config.bend_of(path)
     raw = read_columns(path, mapping)
     named = {f.name: getattr(config.columns, f.name) for f in fields(PairColumns)}
@@ -155,7 +155,7 @@ def _read_record(
     columns |= {item: config.radians * columns[item] for item in ("command", "angle")}
     channels = {item: (Source(named[item], "", 1.0), values) for item, values in columns.items()}
     name = f"{path}, run {number}" if number else str(path)
-    return PairRecord(bend, **columns), Reading(name, time, channels, remarks=raw.remarks)
+    return PairRecord(bend, **columns), ReadSummary(name, time, channels, remarks=raw.remarks)
 
 
 def _check_columns(path: Path, columns: Mapping[str, Array], config: PairConfig) -> None:
@@ -263,7 +263,7 @@ def render(study: PairStudy, readings: Sequence[Mapping[str, Any]] = ()) -> str:
     page.add_table(report_text.build_residual_table(study))
     page.add_figure(residuals.figure, residuals.caption)
     page.add_heading("How the data were read")
-    page.add_points([f"{each['file']}: {format_reading(each)}" for each in readings])
+    page.add_points([f"{each['file']}: {format_read_summary(each)}" for each in readings])
     return page.render()
 
 
@@ -308,7 +308,7 @@ def main(args: argparse.Namespace) -> int:
     tree["read_as"] = [reading.to_json() for reading in (*read, *validated)]
     write_summary(args.json, tree)
     print(report_text.format_report(study))
-    print(format_readings(tree["read_as"]), flush=True)
+    print(format_read_summaries(tree["read_as"]), flush=True)
     if args.out is not None:
         write_summary(args.out / "report.json", tree)
         write_text_file(args.out / "report.html", render(study, tree["read_as"]), "the page")

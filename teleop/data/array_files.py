@@ -18,7 +18,14 @@ import numpy as np
 from teleop.data import read_limits
 from teleop.data.mapping_file import TableMapping
 from teleop.data.raw_table import Column, RawTable
-from teleop.data.text_table import SAMPLE_LINES, Row, clean_name, locate_table, read_rows, read_text
+from teleop.data.table_parser import (
+    SAMPLE_LINES,
+    Row,
+    clean_name,
+    locate_table,
+    read_rows,
+    read_text,
+)
 from teleop.errors import UsageError
 
 ARRAYS_MAX = 10_000

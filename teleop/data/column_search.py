@@ -13,7 +13,7 @@ from teleop.data import standard_columns
 from teleop.data.column_units import UNIT_FACTORS, propose_time_unit
 from teleop.data.raw_table import RawTable
 from teleop.data.standard_columns import Columns
-from teleop.data.text_table import clean_name
+from teleop.data.table_parser import clean_name
 from teleop.errors import UsageError
 
 NAMES_SHOWN = 12  # of a file's columns in an error message

@@ -15,8 +15,8 @@ import numpy as np
 from teleop.data import read_limits, time_text
 from teleop.data.mapping_file import TableMapping
 from teleop.data.raw_table import Column, RawTable
+from teleop.data.table_parser import ROWS_PER_CHUNK, clean_name, read_text
 from teleop.data.text_cells import WITH_UNIT, classify_word, to_number
-from teleop.data.text_table import ROWS_PER_CHUNK, clean_name, read_text
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS
 from teleop.messages.topics import TENDONS

@@ -3,9 +3,9 @@
 A process proves its role by a certificate of an authority that all processes of a session trust.
 """
 
-from teleop.security.certificates import CertificateError, NotYetValidError
 from teleop.security.credentials import Credentials
 from teleop.security.identity import CERTIFICATE_ROLES, RIGHTS, CertificateRole, Identity
+from teleop.security.key_files import CertificateError, NotYetValidError
 
 __all__ = [
     "CERTIFICATE_ROLES",

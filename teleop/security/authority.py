@@ -17,8 +17,8 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from teleop.errors import UsageError
-from teleop.security.certificates import load_certificate, load_key, write_file, write_key
 from teleop.security.identity import Identity
+from teleop.security.key_files import load_certificate, load_key, write_file, write_key
 from teleop.security.revocation import BACKDATING, REVOKED, build_revocation_list, load_revoked
 
 AUTHORITY_DAYS = 3650

@@ -38,7 +38,15 @@ from teleop.security.authority import (
     CERTIFICATE_DAYS,
     Authority,
 )
-from teleop.security.certificates import (
+from teleop.security.credentials import build_file_stem
+from teleop.security.identity import (
+    ALL_SESSIONS,
+    RIGHTS,
+    CertificateRole,
+    Identity,
+    identify_holder,
+)
+from teleop.security.key_files import (
     CertificateError,
     is_signed_by,
     load_certificate,
@@ -47,8 +55,6 @@ from teleop.security.certificates import (
     write_file,
     write_key,
 )
-from teleop.security.credentials import build_file_stem, identify_holder
-from teleop.security.identity import ALL_SESSIONS, RIGHTS, CertificateRole, Identity
 from teleop.security.revocation import REVOKED, load_revoked
 from teleop.session.config import check_session
 

@@ -22,18 +22,20 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from teleop.errors import UsageError
 from teleop.runtime.files import find_state_folder
 from teleop.security.authority import AUTHORITY, Authority
-from teleop.security.certificates import (
-    UNREADABLE_ERRORS,
+from teleop.security.identity import (
+    ALL_SESSIONS,
+    RIGHTS,
+    CertificateRole,
+    Identity,
+    identify_holder,
+)
+from teleop.security.key_files import (
     CertificateError,
-    NotYetValidError,
-    is_signed_by,
     load_certificate,
     load_key,
-    read_common_name,
     require_unshared_folder,
 )
-from teleop.security.identity import ALL_SESSIONS, RIGHTS, CertificateRole, Identity
-from teleop.security.revocation import load_revoked, refuse_revoked
+from teleop.security.revocation import load_revoked
 
 EXPIRY_WARNING = timedelta(days=14)  # before a certificate expires
 
@@ -77,45 +79,6 @@ class Credentials:
             "listen_private_key_base64": private,
             "connect_private_key_base64": private,
         }
-
-
-def identify_holder(
-    certificate: x509.Certificate, authority: x509.Certificate, revoked: frozenset[int]
-) -> Identity:
-    """Return whom a certificate stands for.
-
-    Raises `CertificateError` if it is of another authority, expired, revoked, or names no role;
-    `NotYetValidError` if it is not yet valid.
-    """
-    try:
-        name = read_common_name(certificate)
-        start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
-    except UNREADABLE_ERRORS as error:
-        raise CertificateError("a certificate that cannot be read") from error
-    if not is_signed_by(certificate, authority):
-        raise CertificateError(f"the certificate {name} is of another authority")
-    now = datetime.now(UTC)
-    if now > end:
-        raise CertificateError(
-            f"the certificate {name} expired on {end:%Y-%m-%d %H:%M} UTC; issue a new one with "
-            f"`teleop keys issue`, or check the clock, by which it is {now:%Y-%m-%d %H:%M}"
-        )
-    if now < start:
-        raise NotYetValidError(
-            f"the certificate {name} is valid from {start:%Y-%m-%d %H:%M} UTC on; check the clock, "
-            f"by which it is {now:%Y-%m-%d %H:%M}"
-        )
-    if now > authority.not_valid_after_utc:
-        raise CertificateError(
-            f"the authority of the certificate {name} expired on "
-            f"{authority.not_valid_after_utc:%Y-%m-%d %H:%M} UTC; make a new one with "
-            "`teleop keys init`"
-        )
-    refuse_revoked(certificate, revoked)
-    try:
-        return Identity.parse(name)
-    except ValueError as error:
-        raise CertificateError(f"the certificate {error}") from error
 
 
 def build_file_stem(role: CertificateRole, session: str) -> str:

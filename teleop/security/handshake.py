@@ -24,9 +24,9 @@ from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from teleop.messages.topics import Role
-from teleop.security.certificates import UNREADABLE_ERRORS, CertificateError
-from teleop.security.credentials import Credentials, identify_holder
-from teleop.security.identity import CERTIFICATE_ROLES, Identity
+from teleop.security.credentials import Credentials
+from teleop.security.identity import CERTIFICATE_ROLES, Identity, identify_holder
+from teleop.security.key_files import UNREADABLE_ERRORS, CertificateError
 from teleop.security.presence import Token
 from teleop.security.revocation import RevocationList
 

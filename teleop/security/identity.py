@@ -6,11 +6,22 @@ only), `router.*` (the router of all sessions).
 """
 
 import re
+from datetime import UTC, datetime
 from enum import StrEnum
 from itertools import combinations
 from typing import NamedTuple
 
+from cryptography import x509
+
 from teleop.messages.topics import Role
+from teleop.security.key_files import (
+    UNREADABLE_ERRORS,
+    CertificateError,
+    NotYetValidError,
+    is_signed_by,
+    read_common_name,
+)
+from teleop.security.revocation import refuse_revoked
 
 ALL_SESSIONS = "*"  # of a router's certificate
 RIGHTS = ("reset", "set", "stop")  # of a supervisor, in this order in its name
@@ -84,6 +95,45 @@ class Identity(NamedTuple):
     def may_join(self, session: str) -> bool:
         """Return whether the holder belongs to a session."""
         return self.session in (session, ALL_SESSIONS)
+
+
+def identify_holder(
+    certificate: x509.Certificate, authority: x509.Certificate, revoked: frozenset[int]
+) -> Identity:
+    """Return whom a certificate stands for.
+
+    Raises `CertificateError` if it is of another authority, expired, revoked, or names no role;
+    `NotYetValidError` if it is not yet valid.
+    """
+    try:
+        name = read_common_name(certificate)
+        start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    except UNREADABLE_ERRORS as error:
+        raise CertificateError("a certificate that cannot be read") from error
+    if not is_signed_by(certificate, authority):
+        raise CertificateError(f"the certificate {name} is of another authority")
+    now = datetime.now(UTC)
+    if now > end:
+        raise CertificateError(
+            f"the certificate {name} expired on {end:%Y-%m-%d %H:%M} UTC; issue a new one with "
+            f"`teleop keys issue`, or check the clock, by which it is {now:%Y-%m-%d %H:%M}"
+        )
+    if now < start:
+        raise NotYetValidError(
+            f"the certificate {name} is valid from {start:%Y-%m-%d %H:%M} UTC on; check the clock, "
+            f"by which it is {now:%Y-%m-%d %H:%M}"
+        )
+    if now > authority.not_valid_after_utc:
+        raise CertificateError(
+            f"the authority of the certificate {name} expired on "
+            f"{authority.not_valid_after_utc:%Y-%m-%d %H:%M} UTC; make a new one with "
+            "`teleop keys init`"
+        )
+    refuse_revoked(certificate, revoked)
+    try:
+        return Identity.parse(name)
+    except ValueError as error:
+        raise CertificateError(f"the certificate {error}") from error
 
 
 def list_supervisor_names(session: str, right: str) -> list[str]:

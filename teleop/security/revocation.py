@@ -2,7 +2,7 @@
 
 `Authority.revoke` adds to the list, `revoked.pem` beside the authority's certificate on every
 machine. A process reads it at its start and again whenever it changes, and believes no certificate
-that stands in it (`teleop.security.credentials.identify_holder`).
+that stands in it (`teleop.security.identity.identify_holder`).
 """
 
 from collections.abc import Callable, Iterable
@@ -14,7 +14,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from teleop.errors import UsageError
-from teleop.security.certificates import (
+from teleop.security.key_files import (
     UNREADABLE_ERRORS,
     CertificateError,
     read_common_name,

@@ -38,8 +38,8 @@ again; only the clutch returns directly to ENGAGED.
 What each side may do depends on `may_move`, `may_probe` and `may_yield` (slave), `may_render` and
 `is_force_fading` (master), and on nothing else.
 
-`Session` and `Inputs` are records (`estimator.structs`), and all functions of them are compiled.
-Python code around the loops, which reports and prints, takes a `SessionOutline`.
+`Session` and `SessionInputs` are records (`estimator.structs`), and all functions of them are
+compiled. Python code around the loops, which reports and prints, takes a `SessionOutline`.
 """
 
 from enum import IntEnum
@@ -143,7 +143,7 @@ PEER_REASONS = (
 )
 
 
-class Inputs(Struct):
+class SessionInputs(Struct):
     """Inputs of a side at a tick."""
 
     usable: Flag  # its own device or rig can be read and written
@@ -317,7 +317,7 @@ def _enter_coupled_state(
 
 
 @jit_compile
-def _is_fault_over(session: Session, inputs: Inputs) -> bool:
+def _is_fault_over(session: Session, inputs: SessionInputs) -> bool:
     """Return whether the cause of a FAULT is gone."""
     if inputs.engage or not inputs.usable:
         return False
@@ -329,7 +329,7 @@ def _is_fault_over(session: Session, inputs: Inputs) -> bool:
 
 
 @jit_compile
-def _step_ready(session: Session, inputs: Inputs) -> None:
+def _step_ready(session: Session, inputs: SessionInputs) -> None:
     """Usable and not engaged: engage, or set the reason why not."""
     peer_ready = inputs.peer_fresh and inputs.peer_state == State.READY
     peer_engaged = inputs.peer_fresh and inputs.peer_state == State.ENGAGED
@@ -358,7 +358,7 @@ def _step_ready(session: Session, inputs: Inputs) -> None:
 
 
 @jit_compile
-def _step_coupled(session: Session, inputs: Inputs, dt: float) -> None:
+def _step_coupled(session: Session, inputs: SessionInputs, dt: float) -> None:
     """Engaged or clutched: stay, switch between the two, or leave."""
     follows = inputs.peer_state == State.ENGAGED
     if not inputs.usable:
@@ -401,7 +401,7 @@ def _step_coupled(session: Session, inputs: Inputs, dt: float) -> None:
 
 
 @jit_compile
-def _step_holding(session: Session, inputs: Inputs, dt: float) -> None:
+def _step_holding(session: Session, inputs: SessionInputs, dt: float) -> None:
     """Hold until the peer sends again, the link is good and the switch is open; or a fault."""
     if not inputs.usable:
         _enter_state(session, State.FAULT, Reason.NOT_USABLE)
@@ -425,7 +425,7 @@ def _step_holding(session: Session, inputs: Inputs, dt: float) -> None:
 
 
 @jit_compile
-def _change_state(session: Session, inputs: Inputs, dt: float) -> None:
+def _change_state(session: Session, inputs: SessionInputs, dt: float) -> None:
     if inputs.stop != Reason.NONE:
         first = session.reason if session.state == State.STOPPED else inputs.stop
         _enter_state(session, State.STOPPED, first)
@@ -453,7 +453,7 @@ def _change_state(session: Session, inputs: Inputs, dt: float) -> None:
 
 
 @jit_compile
-def step(session: Session, inputs: Inputs, dt: float) -> None:
+def step(session: Session, inputs: SessionInputs, dt: float) -> None:
     """Advance a session by one tick, in place.
 
     `inputs` are those of this side, `peer_state` among them a known state (`to_known_state`); `dt`

@@ -25,16 +25,16 @@ BLOCKED = Load(0.0, 1e9)
 SPRING = Load(0.0, 500.0)
 
 
-def uniform(K, nodes=60, pretension=0.0, axial_stiffness=EA, **knobs):
+def uniform(K, nodes=60, pretension=0.0, axial_stiffness=EA, **deviations):
     """Return a chain of one bend."""
     sheath = SheathConfig((SectionConfig(L, 0.2),), K * 0.2 / L, axial_stiffness, nodes)
     chain = build_chain(sheath, pretension)
-    return chain._replace(knobs=chain.knobs._replace(**knobs))
+    return chain._replace(deviations=chain.deviations._replace(**deviations))
 
 
-def turned(chain, **knobs):
-    """Return the chain with some of its knobs turned."""
-    return chain._replace(knobs=chain.knobs._replace(**knobs))
+def turned(chain, **deviations):
+    """Return the chain with some of its deviations turned."""
+    return chain._replace(deviations=chain.deviations._replace(**deviations))
 
 
 def drive(chain, load, motor, state=None, dt=1e-3):

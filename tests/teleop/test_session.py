@@ -12,9 +12,9 @@ from estimator.compiled import jit_compile
 from teleop.session.state_machine import (
     FOLLOW_LIMIT_S,
     HOLD_LIMIT_S,
-    Inputs,
     Reason,
     Session,
+    SessionInputs,
     SessionOutline,
     State,
     is_force_fading,
@@ -33,7 +33,7 @@ STOP = Reason.STOP_CALLED
 
 
 class Known(NamedTuple):
-    """The fields of `Inputs`, as values."""
+    """The fields of `SessionInputs`, as values."""
 
     usable: bool
     peer_fresh: bool
@@ -79,7 +79,7 @@ def sessions_of(now, count=1):
 
 
 def inputs_of(known):
-    inputs = Inputs.array(len(known))
+    inputs = SessionInputs.array(len(known))
     for name in Known._fields:
         inputs[name] = [getattr(item, name) for item in known]
     return inputs

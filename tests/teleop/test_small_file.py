@@ -12,7 +12,7 @@ from teleop.data import model_file
 from teleop.errors import UsageError
 from teleop.runtime.files import read_small_file
 from teleop.security.authority import AUTHORITY, AUTHORITY_KEY, Authority
-from teleop.security.certificates import load_certificate, load_key
+from teleop.security.key_files import load_certificate, load_key
 from teleop.security.revocation import REVOKED, load_revoked
 
 READERS = {

@@ -14,7 +14,7 @@ from master.devices.hid.descriptor import DescriptorError, parse_descriptor
 from master.devices.hid.driver_table import DRIVERS, INPUTS_ONLY, PID, AttachedNode
 from master.devices.hid.force_signs import ForceSignKey
 from master.devices.hid.node import REMEDY, Node, load_hidapi
-from master.devices.hid.pid_reports import has_pid_collection
+from master.devices.hid.pid_layout import has_pid_collection
 from teleop.runtime.machine import find_usb_remedy
 from teleop.runtime.process import find_openers
 

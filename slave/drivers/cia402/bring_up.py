@@ -11,7 +11,7 @@ from slave.drivers.cia402.bus import format_bus_name, open_network, to_driver_fa
 from slave.drivers.cia402.config import Cia402Config
 from slave.drivers.cia402.drive import DriveState, NoAnswer, NodeSetup
 from slave.drivers.cia402.monitor import BusMonitor
-from slave.drivers.driver import Channels, Counts, DriverFault, Reading
+from slave.drivers.driver import BusReading, Channels, Counts, DriverFault
 
 # --- CANopen nodes that are only read: every frame is an SDO upload
 
@@ -39,7 +39,7 @@ class Cia402Reader:
         except (can.CanError, OSError) as error:
             raise to_driver_fault(self._config, error) from error
 
-    def run_cycle(self, target: Counts | None) -> Sequence[Reading]:  # noqa: ARG002 - of a Driver
+    def run_cycle(self, target: Counts | None) -> Sequence[BusReading]:  # noqa: ARG002 - of a Driver
         """Read the position of every motor and the value of every cell."""
         analogue = self._config.analogue
         began_s = time.monotonic()
@@ -55,7 +55,7 @@ class Cia402Reader:
             if emergency := self._monitor.describe_emergency(number):
                 raise DriverFault(f"drive {number} reports: {emergency}")
         sampled_s = 0.5 * (began_s + time.monotonic())
-        return (Reading(sampled_s, np.array(position, float), np.array(cell, float)),)
+        return (BusReading(sampled_s, np.array(position, float), np.array(cell, float)),)
 
     def stop(self) -> None:
         """Do nothing: no motor was enabled."""

@@ -22,7 +22,7 @@ from slave.drivers.cia402.drive import (
     select_control_word,
 )
 from slave.drivers.cia402.monitor import BUS_OFF, BUS_OFF_TEXT, EMERGENCY, HEARTBEAT
-from slave.drivers.driver import Channels, Counts, DriverFault, Reading
+from slave.drivers.driver import BusReading, Channels, Counts, DriverFault
 
 TPDO1, TPDO2, RPDO1 = 0x180, 0x280, 0x200
 OPERATIONAL, BOOT_UP = 5, 0  # NMT states in a heartbeat
@@ -103,7 +103,7 @@ class Cia402Driver:
             self._send(0, bytes([1, node.number]))  # operational
         self._began_s = now
 
-    def run_cycle(self, target: Counts | None) -> Sequence[Reading]:
+    def run_cycle(self, target: Counts | None) -> Sequence[BusReading]:
         """Send control words and targets, then SYNC; take the answers."""
         now = time.monotonic()
         if now >= self._beat_s:
@@ -126,7 +126,7 @@ class Cia402Driver:
         nodes = self._nodes
         position = np.array([nodes[number].position for number in self._channels.motors])
         cell = np.array([nodes[number].cell for number in self._channels.cells])
-        return (Reading(self._sync_s, position, cell, self._obeyed),)
+        return (BusReading(self._sync_s, position, cell, self._obeyed),)
 
     def stop(self) -> None:
         """Quick stop, sent by the next cycle: the drives brake by their own ramp and hold.

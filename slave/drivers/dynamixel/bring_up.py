@@ -8,7 +8,7 @@ import numpy as np
 from dynamixel_sdk import GroupSyncRead, PacketHandler
 from dynamixel_sdk.robotis_def import COMM_RX_CORRUPT, COMM_SUCCESS
 
-from slave.drivers.driver import Channels, Counts, DriverFault, Reading
+from slave.drivers.driver import BusReading, Channels, Counts, DriverFault
 from slave.drivers.dynamixel import registers, servo_check
 from slave.drivers.dynamixel.bus import TWINS_TEXT, ServoBus, format_result
 from slave.drivers.dynamixel.config import DynamixelConfig
@@ -50,7 +50,7 @@ class DynamixelReader:
         self._bus.call(self._look)
         self._heard_s = time.monotonic()
 
-    def run_cycle(self, target: Counts | None) -> Sequence[Reading]:  # noqa: ARG002 - of a Driver
+    def run_cycle(self, target: Counts | None) -> Sequence[BusReading]:  # noqa: ARG002 - of a Driver
         """Read position and current of every servo."""
         sent_s = time.monotonic()
         text = format_result(self._bus.call(self._read.txRxPacket))
@@ -67,7 +67,7 @@ class DynamixelReader:
         position = samples["position"][self._motor_rows].astype(float)
         units = [self._cell_units[number] for number in self._channels.cells]
         current = samples["current"][self._cell_rows] * units
-        return (Reading(0.5 * (sent_s + now), position, current),)
+        return (BusReading(0.5 * (sent_s + now), position, current),)
 
     def stop(self) -> None:
         """Do nothing: no motor was enabled."""

@@ -11,7 +11,7 @@ import numpy as np
 import serial
 from dynamixel_sdk import GroupSyncRead, GroupSyncWrite
 
-from slave.drivers.driver import Channels, Counts, DriverFault, Reading
+from slave.drivers.driver import BusReading, Channels, Counts, DriverFault
 from slave.drivers.dynamixel import registers, servo_check
 from slave.drivers.dynamixel.bus import ServoBus, format_result
 from slave.drivers.dynamixel.config import WATCHDOG_UNIT, DynamixelConfig
@@ -52,7 +52,7 @@ class DynamixelDriver:
         self._bus.call(self._set_up_all)
         self._began_s = self._heard_s = time.monotonic()
 
-    def run_cycle(self, target: Counts | None) -> Sequence[Reading]:
+    def run_cycle(self, target: Counts | None) -> Sequence[BusReading]:
         """Send the goals, read position, current and status of every servo."""
         return self._bus.call(lambda: self._exchange(target))
 
@@ -128,7 +128,7 @@ class DynamixelDriver:
         velocity = max(1, round(self._config.velocity_max / registers.VELOCITY_UNIT))
         bus.put(number, registers.PROFILE_VELOCITY, velocity)
 
-    def _exchange(self, target: Counts | None) -> Sequence[Reading]:
+    def _exchange(self, target: Counts | None) -> Sequence[BusReading]:
         self._cycles += 1
         if target is not None and self._enabled:
             goals = [max(-LIMIT, min(LIMIT, round(value))) for value in target.tolist()]
@@ -156,7 +156,7 @@ class DynamixelDriver:
         current = status["current"][self._cell_rows] * units
         # servos answer one after the other; their values are of about the middle
         sampled_s, positions = 0.5 * (sent_s + now), motors["position"].astype(float)
-        return (Reading(sampled_s, positions, current, self._enabled),)
+        return (BusReading(sampled_s, positions, current, self._enabled),)
 
     def _check(self, status: Status) -> None:
         """Raise `DriverFault` for what a servo reports."""

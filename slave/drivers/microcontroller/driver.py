@@ -10,7 +10,7 @@ from contextlib import suppress
 import numpy as np
 import serial
 
-from slave.drivers.driver import Channels, Counts, DriverFault, Reading
+from slave.drivers.driver import BusReading, Channels, Counts, DriverFault
 from slave.drivers.microcontroller import frames
 from slave.drivers.microcontroller.config import MicrocontrollerConfig
 from slave.drivers.microcontroller.frames import (
@@ -111,7 +111,7 @@ class MicrocontrollerDriver:
         self._began_s = self._heard_s = time.monotonic()
         self._send_targets(None)
 
-    def run_cycle(self, target: Counts | None) -> Sequence[Reading]:
+    def run_cycle(self, target: Counts | None) -> Sequence[BusReading]:
         """Take the states that have come, and answer them."""
         readings = []
         arrived = self._receive()
@@ -125,7 +125,9 @@ class MicrocontrollerDriver:
             self._check(state, now)
             position = _select_channels(state.position, self._channels.motors)
             cell = _select_channels(state.cell, self._channels.cells)
-            readings.append(Reading(self._clock(frame.time_us, now), position, cell, self._obeyed))
+            readings.append(
+                BusReading(self._clock(frame.time_us, now), position, cell, self._obeyed)
+            )
         if now - self._heard_s > self._config.timeout:
             raise DriverFault(
                 f"{self._config.port}: silent for {(now - self._heard_s) * 1e3:.0f} ms"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from slave.simulation.tendon import Knobs
+from slave.simulation.tendon import TendonDeviations
 from teleop.config.ranges import RangedConfig, build_ranged_field
 
 
@@ -30,8 +30,8 @@ class TendonEffect(Effect, ABC):
     varies: ClassVar[bool] = False  # whether it varies after its start
 
     @abstractmethod
-    def apply(self, knobs: Knobs, time: float, slid: float, /) -> Knobs:
-        """Return the knobs with this effect added.
+    def apply(self, deviations: TendonDeviations, time: float, slid: float, /) -> TendonDeviations:
+        """Return the deviations with this effect added.
 
         `time` [s] is since its start, `slid` [m] the accumulated travel of the tendon's housing end
         since then.
@@ -51,13 +51,15 @@ def select_tendon_effects(
     )
 
 
-def compute_knobs(effects: Sequence[TendonEffect], time: float, slid: Sequence[float]) -> Knobs:
-    """Return the knobs of a tendon at `time` [s] under all its effects.
+def compute_deviations(
+    effects: Sequence[TendonEffect], time: float, slid: Sequence[float]
+) -> TendonDeviations:
+    """Return the deviations of a tendon at `time` [s] under all its effects.
 
     `slid` [m] is the accumulated travel of the tendon's housing end since the start of each.
     """
-    knobs = Knobs()
+    deviations = TendonDeviations()
     for effect, distance in zip(effects, slid, strict=True):
         if time >= effect.start:
-            knobs = effect.apply(knobs, time - effect.start, distance)
-    return knobs
+            deviations = effect.apply(deviations, time - effect.start, distance)
+    return deviations

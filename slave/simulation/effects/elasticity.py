@@ -7,9 +7,9 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from slave.simulation.effects.effect import TendonEffect
-from slave.simulation.effects.joint import SideEffect
+from slave.simulation.effects.ends import SideEffect
 from slave.simulation.joint import Tendon
-from slave.simulation.tendon import Knobs
+from slave.simulation.tendon import TendonDeviations
 from teleop.config.ranges import build_ranged_field
 
 
@@ -22,8 +22,10 @@ class NonlinearStiffness(TendonEffect):
     tension: float = build_ranged_field(2.0, 0.1, 100.0, "N")  # scale of the toe region
     adds_up: ClassVar[bool] = False
 
-    def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        return knobs._replace(toe_strain=self.strain, toe_tension=self.tension)
+    def apply(
+        self, deviations: TendonDeviations, _time: float, _slid: float, /
+    ) -> TendonDeviations:
+        return deviations._replace(toe_strain=self.strain, toe_tension=self.tension)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +37,10 @@ class Creep(TendonEffect):
     time_constant: float = build_ranged_field(8.0, 0.01, 1e4, "s")  # of the creep
     adds_up: ClassVar[bool] = False
 
-    def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        return knobs._replace(creep_share=self.share, creep_time=self.time_constant)
+    def apply(
+        self, deviations: TendonDeviations, _time: float, _slid: float, /
+    ) -> TendonDeviations:
+        return deviations._replace(creep_share=self.share, creep_time=self.time_constant)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +57,10 @@ class SheathCompression(TendonEffect):
     friction_rise: float = build_ranged_field(0.0, 0.0, 0.1, "1/N")  # relative, above the threshold
     adds_up: ClassVar[bool] = False
 
-    def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        return knobs._replace(
+    def apply(
+        self, deviations: TendonDeviations, _time: float, _slid: float, /
+    ) -> TendonDeviations:
+        return deviations._replace(
             compression=self.compression,
             compression_threshold=self.threshold,
             compression_friction=self.friction_rise,
@@ -68,8 +74,10 @@ class Slack(TendonEffect):
     type: Literal["slack"] = "slack"
     length: float = build_ranged_field(1e-3, 0.0, 0.05, "m")  # of tendon in excess
 
-    def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        return knobs._replace(slack=knobs.slack + self.length)
+    def apply(
+        self, deviations: TendonDeviations, _time: float, _slid: float, /
+    ) -> TendonDeviations:
+        return deviations._replace(slack=deviations.slack + self.length)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,9 +91,9 @@ class ThermalExpansion(TendonEffect):
     time_constant: float = build_ranged_field(60.0, 0.01, 1e5, "s")  # of the warming
     varies: ClassVar[bool] = True
 
-    def apply(self, knobs: Knobs, time: float, _slid: float, /) -> Knobs:
+    def apply(self, deviations: TendonDeviations, time: float, _slid: float, /) -> TendonDeviations:
         warming = self.warming * -math.expm1(-time / self.time_constant)
-        return knobs._replace(expansion=knobs.expansion + self.coefficient * warming)
+        return deviations._replace(expansion=deviations.expansion + self.coefficient * warming)
 
 
 # --- effects along the sheath: where its bends lie, and damage at a place

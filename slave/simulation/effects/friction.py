@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 from slave.simulation.effects.effect import TendonEffect
-from slave.simulation.tendon import Knobs
+from slave.simulation.tendon import TendonDeviations
 from teleop.config.ranges import build_ranged_field
 
 
@@ -15,8 +15,10 @@ class FrictionStep(TendonEffect):
     type: Literal["friction_step"] = "friction_step"
     change: float = build_ranged_field(0.25, -0.95, 5.0)  # relative
 
-    def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        return knobs._replace(friction_scale=knobs.friction_scale * (1.0 + self.change))
+    def apply(
+        self, deviations: TendonDeviations, _time: float, _slid: float, /
+    ) -> TendonDeviations:
+        return deviations._replace(friction_scale=deviations.friction_scale * (1.0 + self.change))
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +36,10 @@ class FrictionDrift(TendonEffect):
         if self.per_second == 0.0 and self.per_metre == 0.0:
             raise ValueError("per_second: set this or per_metre")
 
-    def apply(self, knobs: Knobs, time: float, slid: float, /) -> Knobs:
+    def apply(self, deviations: TendonDeviations, time: float, slid: float, /) -> TendonDeviations:
         change = self.per_second * time + self.per_metre * slid
         change = max(-min(self.limit, 1.0), min(self.limit, change))
-        return knobs._replace(friction_scale=knobs.friction_scale * (1.0 + change))
+        return deviations._replace(friction_scale=deviations.friction_scale * (1.0 + change))
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +49,10 @@ class ConstantDrag(TendonEffect):
     type: Literal["constant_drag"] = "constant_drag"
     drag: float = build_ranged_field(0.6, 0.0, 10.0, "N")  # tau
 
-    def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        return knobs._replace(drag=knobs.drag + self.drag)
+    def apply(
+        self, deviations: TendonDeviations, _time: float, _slid: float, /
+    ) -> TendonDeviations:
+        return deviations._replace(drag=deviations.drag + self.drag)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +62,10 @@ class ViscousFriction(TendonEffect):
     type: Literal["viscous_friction"] = "viscous_friction"
     viscosity: float = build_ranged_field(50.0, 0.0, 5000.0, "N s/m^2")  # per metre of sheath
 
-    def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        return knobs._replace(viscosity=knobs.viscosity + self.viscosity)
+    def apply(
+        self, deviations: TendonDeviations, _time: float, _slid: float, /
+    ) -> TendonDeviations:
+        return deviations._replace(viscosity=deviations.viscosity + self.viscosity)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +83,10 @@ class StribeckFriction(TendonEffect):
     memory: float = build_ranged_field(0.2, 1e-3, 10.0, "s")  # time constant of the speed
     adds_up: ClassVar[bool] = False
 
-    def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        return knobs._replace(
+    def apply(
+        self, deviations: TendonDeviations, _time: float, _slid: float, /
+    ) -> TendonDeviations:
+        return deviations._replace(
             stribeck_ratio=self.ratio, stribeck_speed=self.speed, stribeck_memory=self.memory
         )
 
@@ -93,8 +101,10 @@ class Presliding(TendonEffect):
     tension: float = build_ranged_field(10.0, 0.1, 100.0, "N")
     adds_up: ClassVar[bool] = False
 
-    def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        return knobs._replace(presliding=self.distance, presliding_tension=self.tension)
+    def apply(
+        self, deviations: TendonDeviations, _time: float, _slid: float, /
+    ) -> TendonDeviations:
+        return deviations._replace(presliding=self.distance, presliding_tension=self.tension)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +115,10 @@ class DirectionAsymmetry(TendonEffect):
     # rho, towards the tip over towards the housing
     ratio: float = build_ranged_field(0.8, 0.3, 3.0)
 
-    def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        return knobs._replace(asymmetry=knobs.asymmetry * self.ratio)
+    def apply(
+        self, deviations: TendonDeviations, _time: float, _slid: float, /
+    ) -> TendonDeviations:
+        return deviations._replace(asymmetry=deviations.asymmetry * self.ratio)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,8 +130,10 @@ class TensionDependentFriction(TendonEffect):
     reference: float = build_ranged_field(10.0, 0.1, 100.0, "N")  # tension without change
     adds_up: ClassVar[bool] = False
 
-    def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        return knobs._replace(tension_exponent=self.exponent, tension_reference=self.reference)
+    def apply(
+        self, deviations: TendonDeviations, _time: float, _slid: float, /
+    ) -> TendonDeviations:
+        return deviations._replace(tension_exponent=self.exponent, tension_reference=self.reference)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,8 +150,10 @@ class StickSlip(TendonEffect):
     distance: float = build_ranged_field(2e-5, 1e-7, 1e-3, "m")  # slid while it decays
     adds_up: ClassVar[bool] = False
 
-    def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        return knobs._replace(
+    def apply(
+        self, deviations: TendonDeviations, _time: float, _slid: float, /
+    ) -> TendonDeviations:
+        return deviations._replace(
             static_ratio=self.ratio, static_time=self.rest_time, static_distance=self.distance
         )
 

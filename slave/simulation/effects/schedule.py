@@ -12,13 +12,13 @@ from estimator.array_types import Array
 from slave.simulation.effects.effect import (
     Effect,
     TendonEffect,
-    compute_knobs,
+    compute_deviations,
     select_tendon_effects,
 )
-from slave.simulation.effects.joint import JointEffect
+from slave.simulation.effects.ends import JointEffect
 from slave.simulation.effects.sensors import LostSamples, SampleEffect, SensorEffect
 from slave.simulation.joint import Joint
-from slave.simulation.sensors import Sensors
+from slave.simulation.sensor_models import Sensors
 
 
 class JointSchedule:
@@ -35,10 +35,13 @@ class JointSchedule:
             if isinstance(effect, JointEffect) and effect.joint in (None, index + 1)
         ]
         sides: tuple[Literal["a", "b"], ...] = ("a", "b") if joint.pair else ("a",)
-        self._knobs = {side: select_tendon_effects(effects, index, side) for side in sides}
-        self._all = [*self._ends, *(effect for of in self._knobs.values() for effect in of)]
+        self._tendon_effects = {side: select_tendon_effects(effects, index, side) for side in sides}
+        self._all = [
+            *self._ends,
+            *(effect for of in self._tendon_effects.values() for effect in of),
+        ]
         self._began: dict[Effect, float] = {}  # travel of the joint [m] at the start
-        self._slid = {side: np.zeros(len(of)) for side, of in self._knobs.items()}
+        self._slid = {side: np.zeros(len(of)) for side, of in self._tendon_effects.items()}
         self._before = np.zeros(2)
 
     def update_joint(
@@ -53,7 +56,7 @@ class JointSchedule:
             return None
         travels = abs(housing - self._before[: len(housing)])
         self._before = housing
-        for (side, of), way in zip(self._knobs.items(), travels, strict=True):
+        for (side, of), way in zip(self._tendon_effects.items(), travels, strict=True):
             self._slid[side] += [way if effect in self._began else 0.0 for effect in of]
         begins = [e for e in self._all if e.start <= time and e not in self._began]
         self._began |= dict.fromkeys(begins, travel)
@@ -63,10 +66,10 @@ class JointSchedule:
 
     def _build_joint(self, time: float) -> Joint:
         joint = self._healthy
-        for side, effects in self._knobs.items():
+        for side, effects in self._tendon_effects.items():
             tendon = getattr(joint, side)
-            knobs = compute_knobs(effects, time, self._slid[side].tolist())
-            tendon = tendon._replace(chain=tendon.chain._replace(knobs=knobs))
+            deviations = compute_deviations(effects, time, self._slid[side].tolist())
+            tendon = tendon._replace(chain=tendon.chain._replace(deviations=deviations))
             joint = joint._replace(**{side: tendon})
         for effect in self._ends:
             if effect in self._began:

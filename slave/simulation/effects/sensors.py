@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from slave.simulation.effects.effect import Effect
-from slave.simulation.sensors import CHANNELS, Sensors
+from slave.simulation.sensor_models import CHANNELS, Sensors
 from teleop.config.ranges import build_ranged_field
 
 

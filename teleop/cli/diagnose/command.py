@@ -36,7 +36,7 @@ from teleop.cli.diagnose.diagnosis_run import (
     write_report,
 )
 from teleop.config.options import TABLE_OPTIONS, add_option, add_options
-from teleop.data.reading import format_reading, format_readings
+from teleop.data.read_summary import format_read_summaries, format_read_summary
 from teleop.runtime.output_file import OutputFolder, make_folder
 from teleop.runtime.parallel import count_processors
 from teleop.runtime.process import write_summary
@@ -142,14 +142,14 @@ def main(args: argparse.Namespace) -> int:
     write_summary(args.json, tree)
     comparison = json_report.build_comparison_table(report.accepted) if report.accepted else None
     print(report_text.format_summary(diagnosis, files, comparison, further))
-    print(format_readings(tree["read_as"]), flush=True)
+    print(format_read_summaries(tree["read_as"]), flush=True)
     write_report(args, report, tree)
     if args.out is not None:
         print(f"\nwritten: {args.out / 'report.html'}")
     if args.supplement is not None:
         from teleop.cli.diagnose import supplement
 
-        read_as = [f"{each['file']}: {format_reading(each)}" for each in tree["read_as"]]
+        read_as = [f"{each['file']}: {format_read_summary(each)}" for each in tree["read_as"]]
         sources = supplement.Sources(args.command_line, files, further, read_as)
         print(f"\nwritten: {supplement.write_supplement(args.supplement, diagnosis, sources)}")
     return 0

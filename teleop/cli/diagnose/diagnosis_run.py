@@ -22,7 +22,7 @@ from teleop.data import model_file
 from teleop.data.effect_extensions import is_extension, load_effects
 from teleop.data.mapping_file import NamedColumns, TableMapping, load_mapping, parse_column_options
 from teleop.data.measured_table import MeasuredTable, read_runs
-from teleop.data.reading import Reading
+from teleop.data.read_summary import ReadSummary
 from teleop.data.standard_columns import to_channel
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder
@@ -178,7 +178,7 @@ def diagnose_files(
     accepted = {} if sheath is None else json_report.compare_parameters(diagnosis, sheath)
     tree = json_report.build_report(diagnosis, data.files, seconds, accepted, data.further)
     tree["read_as"] = [
-        Reading.from_table(table).to_json() for table in (*data.fitted, *data.validation)
+        ReadSummary.from_table(table).to_json() for table in (*data.fitted, *data.validation)
     ]
     return ReportContent(diagnosis, data, accepted), tree
 

@@ -13,7 +13,7 @@ from estimator.report_table import Table
 from teleop.cli.diagnose import json_report
 from teleop.cli.diagnose.json_report import ComparedParameter
 from teleop.cli.html_page import Page
-from teleop.data.reading import format_reading
+from teleop.data.read_summary import format_read_summary
 
 GLOSSARY = Table(
     ("word", "meaning"),
@@ -103,7 +103,7 @@ def render(
         page.add_points(remarks)
     if readings:
         page.add_heading("How the data were read")
-        page.add_points([f"{each['file']}: {format_reading(each)}" for each in readings])
+        page.add_points([f"{each['file']}: {format_read_summary(each)}" for each in readings])
     return page.render()
 
 

@@ -21,7 +21,7 @@ from master.devices.hid.dualsense import DualSenseDriver
 from master.devices.hid.input_report import InputReportDecoder
 from master.devices.hid.joystick import SpaceMouseDriver
 from master.devices.hid.pid import PidConfig, PidDriver
-from master.devices.hid.pid_reports import build_layout
+from master.devices.hid.pid_layout import build_layout
 from master.devices.hid.usages import MAGNITUDE, describe_descriptor
 from master.devices.hid.wheels import FFBeastDriver, LogitechDriver
 from studies.hid.descriptors import LAYOUTS

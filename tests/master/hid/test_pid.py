@@ -9,7 +9,7 @@ from master.devices.hid.descriptor import parse_descriptor
 from master.devices.hid.driver import DriverError
 from master.devices.hid.input_report import InputReportDecoder
 from master.devices.hid.pid import PidConfig, PidDriver
-from master.devices.hid.pid_reports import build_layout
+from master.devices.hid.pid_layout import build_layout
 from studies.hid import descriptors as d
 from studies.hid.descriptors import arduino, openffboard
 from studies.hid.virtual.catalogue import DEVICES

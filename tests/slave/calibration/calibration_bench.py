@@ -12,7 +12,7 @@ from slave.sheath_section import SectionConfig
 from slave.simulation.effects import EffectConfig
 from slave.simulation.environment import FreeConfig
 from slave.simulation.joint import BodyConfig
-from slave.simulation.sensors import LoadCellConfig
+from slave.simulation.sensor_models import LoadCellConfig
 from slave.simulation.tendon import SheathConfig
 
 LENGTH, EA = 1.5, 9000.0

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slave.drivers.driver import Reading
+from slave.drivers.driver import BusReading
 from slave.drivers.microcontroller.driver import ClockMap
 from slave.rigs.hardware import Aligner
 
@@ -14,11 +14,11 @@ NONE = np.empty(0)
 
 
 def motor(time_s):
-    return Reading(time_s, np.array([SPEED * time_s]), NONE)
+    return BusReading(time_s, np.array([SPEED * time_s]), NONE)
 
 
 def cell(time_s):
-    return Reading(time_s, NONE, np.array([RATE * time_s]))
+    return BusReading(time_s, NONE, np.array([RATE * time_s]))
 
 
 def run(motor_times, cell_times):

@@ -18,7 +18,7 @@ from slave.rigs.simulated import (
 )
 from slave.simulation.environment import WallConfig
 from slave.simulation.joint import BodyConfig, Joint
-from slave.simulation.sensors import EncoderConfig, LoadCellConfig
+from slave.simulation.sensor_models import EncoderConfig, LoadCellConfig
 from teleop.config.loading import load
 from teleop.data.measured_table import Columns, read_table, write_table
 from teleop.errors import UsageError

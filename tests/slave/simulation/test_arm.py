@@ -12,7 +12,7 @@ from slave.simulation.arm import ArmPlantConfig
 from slave.simulation.environment import FreeConfig, WallConfig
 from slave.simulation.inertia import build_links, compute_link_motion
 from slave.simulation.joint import BodyConfig
-from slave.simulation.sensors import EncoderConfig, LoadCellConfig
+from slave.simulation.sensor_models import EncoderConfig, LoadCellConfig
 from slave.simulation.space_contacts import (
     BallConfig,
     PlaneConfig,

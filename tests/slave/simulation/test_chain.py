@@ -17,8 +17,8 @@ from slave.simulation.tendon import (
     RIGID_STIFFNESS,
     TENSION,
     Chain,
-    Knobs,
     SheathConfig,
+    TendonDeviations,
     build_chain,
     get_tensions,
     init_chain_state,
@@ -60,7 +60,7 @@ EXACT = {
 }
 
 
-def random_chain(rng, **knobs):
+def random_chain(rng, **deviations):
     nodes = int(rng.choice([1, 2, 20, 60]))
     cell = rng.uniform(0.5, 2.0, nodes)
     cell *= L / cell.sum()
@@ -70,7 +70,7 @@ def random_chain(rng, **knobs):
     compliance /= rng.choice([1e3, 9e3, 5e4])
     pretension = float(rng.choice([0, 1, 5]))
     friction, whole = np.minimum(1.0, friction), np.zeros(nodes + 1)
-    return Chain(compliance, friction, cell, pretension, Knobs(**knobs), whole)
+    return Chain(compliance, friction, cell, pretension, TendonDeviations(**deviations), whole)
 
 
 def random_path(rng, steps):
@@ -90,34 +90,34 @@ def random_path(rng, steps):
 
 def assert_balanced(chain, before, after, dt):
     """Require of a step what friction, bristles, dashpots and springs each demand."""
-    knobs = chain.knobs
+    deviations = chain.deviations
     T, u = after[TENSION, :-1], after[POSITION]
     scale = 1e-10 * max(1.0, T.max())
-    gain = 1.0 - np.exp(-dt / knobs.creep_time)
-    crept = knobs.creep_share * (T - chain.pretension)
+    gain = 1.0 - np.exp(-dt / deviations.creep_time)
+    crept = deviations.creep_share * (T - chain.pretension)
     crept = before[CREEP, :-1] + gain * (crept - before[CREEP, :-1])
     assert after[CREEP, :-1] == pytest.approx(crept, abs=scale)
     stiffness = chain.cell.sum() / chain.compliance.sum()
-    too_long = knobs.slack * stiffness / chain.cell.sum() + knobs.expansion * stiffness
+    too_long = deviations.slack * stiffness / chain.cell.sum() + deviations.expansion * stiffness
     stretched = (u[:-1] - u[1:] - chain.parted) / chain.compliance
     pulled = chain.pretension + stretched - crept - too_long
     assert pytest.approx(np.maximum(0.0, pulled), abs=scale) == T
     assert T.min() >= 0.0
 
     moved = after[POSITION, 1:-1] - before[POSITION, 1:-1]
-    dry = T[:-1] - T[1:] - knobs.viscosity * chain.cell * moved / dt
+    dry = T[:-1] - T[1:] - deviations.viscosity * chain.cell * moved / dt
     assert after[FRICTION, 1:-1] == pytest.approx(dry, abs=scale)
-    pressed = T[:-1] - dry / 2 + knobs.drag
-    most = chain.friction * knobs.friction_scale * pressed
-    least = -knobs.asymmetry * most
+    pressed = T[:-1] - dry / 2 + deviations.drag
+    most = chain.friction * deviations.friction_scale * pressed
+    least = -deviations.asymmetry * most
     assert np.all(dry <= most + scale)
     assert np.all(dry >= least - scale)
     within = (dry < most - 2 * scale) & (dry > least + 2 * scale)
     sliding = chain.friction > 0.0
-    if knobs.presliding > 0.0 or knobs.viscosity > 0.0:
+    if deviations.presliding > 0.0 or deviations.viscosity > 0.0:
         bristle = np.full(len(moved), RIGID_STIFFNESS)
-        if knobs.presliding > 0.0:
-            bristle = chain.friction * knobs.presliding_tension / knobs.presliding
+        if deviations.presliding > 0.0:
+            bristle = chain.friction * deviations.presliding_tension / deviations.presliding
         leaning, scale = before[FRICTION, 1:-1] + bristle * moved, scale + 1e-17 * bristle.max()
         assert dry[within & sliding] == pytest.approx(leaning[within & sliding], abs=scale)
         in_, out = leaning > most + 2 * scale, leaning < least - 2 * scale
@@ -128,11 +128,11 @@ def assert_balanced(chain, before, after, dt):
     assert dry[out] == pytest.approx(least[out], abs=scale)
 
 
-@pytest.mark.parametrize("knobs", EXACT.values(), ids=EXACT.keys())
+@pytest.mark.parametrize("deviations", EXACT.values(), ids=EXACT.keys())
 @pytest.mark.parametrize("seed", range(2))
-def test_every_step_obeys_every_law_at_each_node_and_balances_the_load(seed, knobs):
+def test_every_step_obeys_every_law_at_each_node_and_balances_the_load(seed, deviations):
     rng = np.random.default_rng(seed)
-    chain = random_chain(rng, **knobs)
+    chain = random_chain(rng, **deviations)
     dt = float(rng.choice([1e-5, 1e-3, 1e-2]))
     stiffness = float(rng.choice([1.0, 200.0, 1e6]))
     states = [init_chain_state(chain)]
@@ -147,10 +147,10 @@ def test_every_step_obeys_every_law_at_each_node_and_balances_the_load(seed, kno
         assert_balanced(chain, before, after, dt)
 
 
-@pytest.mark.parametrize("knobs", EXACT.values(), ids=EXACT.keys())
-def test_the_tension_never_rises_as_the_tip_comes(knobs):
+@pytest.mark.parametrize("deviations", EXACT.values(), ids=EXACT.keys())
+def test_the_tension_never_rises_as_the_tip_comes(deviations):
     rng = np.random.default_rng(3)
-    chain = random_chain(rng, **knobs)
+    chain = random_chain(rng, **deviations)
     state = drive(chain, SPRING, random_path(rng, 30))[-1]
     response = compute_response(chain, state, 4e-3, 1e-3)
     places = np.sort(np.concatenate([response.tip.place, rng.uniform(-1e-2, 1e-2, 300)]))
@@ -177,7 +177,7 @@ def test_bristles_may_need_more_corners_than_there_is_room_for_at_first():
 
 
 @pytest.mark.parametrize(
-    ("knobs", "nodes", "steps"),
+    ("deviations", "nodes", "steps"),
     [
         ({"friction_scale": 50.0, "asymmetry": 3.0, "drag": 1.0}, 300, 60),
         ({"viscosity": 5000.0}, 1000, 6),
@@ -185,8 +185,8 @@ def test_bristles_may_need_more_corners_than_there_is_room_for_at_first():
     ],
     ids=["friction", "dashpots", "bristles"],
 )
-def test_what_nothing_passes_stays_finite(knobs, nodes, steps):
-    chain = uniform(9.0, nodes, 1.0, axial_stiffness=900.0, **knobs)
+def test_what_nothing_passes_stays_finite(deviations, nodes, steps):
+    chain = uniform(9.0, nodes, 1.0, axial_stiffness=900.0, **deviations)
     chain.friction[100:105] = 1e3
     path = random_path(np.random.default_rng(1), steps)
     states = drive(chain, SPRING, path, dt=1e-5)
@@ -196,11 +196,11 @@ def test_what_nothing_passes_stays_finite(knobs, nodes, steps):
 
 
 def test_nested_reversals_against_a_solver_that_guesses_and_corrects():
-    knobs = {"asymmetry": 0.75, "drag": 0.5}
+    deviations = {"asymmetry": 0.75, "drag": 0.5}
     sections = (0.4, 0.3), (0.6, 0.15), (0.5, 1.0)
     sheath = SheathConfig(tuple(SectionConfig(*s) for s in sections), 0.2, EA, 60)
-    chain = turned(build_chain(sheath, 4.0), **knobs)
-    other = brute.Chain(sections, 0.2, EA, beads=60, tension=4.0, **knobs)
+    chain = turned(build_chain(sheath, 4.0), **deviations)
+    other = brute.Chain(sections, 0.2, EA, beads=60, tension=4.0, **deviations)
     turns = (0.0, 12e-3, 6e-3, 10e-3, 7e-3, 9e-3, 5e-3, 11e-3)
     path = np.concatenate([np.linspace(a, b, 80)[1:] for a, b in pairwise(turns)])
     states = drive(chain, Load(4.0, 400.0), path)[1:]
@@ -225,17 +225,17 @@ def test_the_error_of_coarse_cells_falls_with_their_square():
 
 def energies(chain, states):
     """Return what springs, creep and bristles store [J], each of shape (states, parts)."""
-    knobs = chain.knobs
+    deviations = chain.deviations
     T, y, f = states[:, TENSION, :-1], states[:, CREEP, :-1], states[:, FRICTION, 1:-1]
     spring = 0.5 * chain.compliance * T**2
     creep = 0.0 * y
-    if knobs.creep_share > 0.0:
-        creep = chain.compliance * (0.5 * y**2 / knobs.creep_share + chain.pretension * y)
+    if deviations.creep_share > 0.0:
+        creep = chain.compliance * (0.5 * y**2 / deviations.creep_share + chain.pretension * y)
     bristle = 0.0 * f
-    if knobs.presliding > 0.0:
-        stiffness = chain.friction * knobs.presliding_tension / knobs.presliding
+    if deviations.presliding > 0.0:
+        stiffness = chain.friction * deviations.presliding_tension / deviations.presliding
         bristle = 0.5 * f**2 / np.where(stiffness > 0.0, stiffness, np.inf)
-    elif knobs.viscosity > 0.0:
+    elif deviations.viscosity > 0.0:
         bristle = 0.5 * f**2 / RIGID_STIFFNESS
     return spring, creep, bristle
 
@@ -260,10 +260,10 @@ PASSIVE = st.fixed_dictionaries(
 
 
 @settings(max_examples=60, deadline=None)
-@given(knobs=PASSIVE, seed=st.integers(0, 2**20), dt=st.sampled_from([1e-5, 1e-3, 1e-2]))
-def test_a_tendon_never_gives_more_work_than_it_was_given(knobs, seed, dt):
+@given(deviations=PASSIVE, seed=st.integers(0, 2**20), dt=st.sampled_from([1e-5, 1e-3, 1e-2]))
+def test_a_tendon_never_gives_more_work_than_it_was_given(deviations, seed, dt):
     rng = np.random.default_rng(seed)
-    chain = random_chain(rng, **knobs)
+    chain = random_chain(rng, **deviations)
     tip = rng.uniform(-0.3, 0.3) * random_path(rng, 150)
     states = stretch(chain, 0.3 * random_path(rng, 150), tip, dt=dt)
     T, u = states[1:, TENSION, :-1], states[:, POSITION]
@@ -273,7 +273,7 @@ def test_a_tendon_never_gives_more_work_than_it_was_given(knobs, seed, dt):
 
     friction = states[1:, FRICTION, 1:-1] * moved[:, 1:-1]
     assert np.min(friction - bristle) > -scale
-    dashpots = knobs["viscosity"] * chain.cell * moved[:, 1:-1] ** 2 / dt
+    dashpots = deviations["viscosity"] * chain.cell * moved[:, 1:-1] ** 2 / dt
     springs = T * (moved[:, :-1] - moved[:, 1:])
     given_ = T[:, 0] * moved[:, 0] - T[:, -1] * moved[:, -1]
     kept = np.sum(spring + creep, axis=1) + np.sum(bristle, axis=1)
@@ -281,7 +281,7 @@ def test_a_tendon_never_gives_more_work_than_it_was_given(knobs, seed, dt):
     assert given_ == pytest.approx(
         np.sum(springs, axis=1) + np.sum(friction + dashpots, axis=1), abs=100 * scale
     )
-    if knobs["slack"] == 0.0:  # slack that appears lets springs go without work
+    if deviations["slack"] == 0.0:  # slack that appears lets springs go without work
         assert np.min(springs - spring - creep) > -scale
         assert np.min(given_ - kept - lost) > -100 * scale
 
@@ -300,11 +300,11 @@ def test_a_slack_tendon_pushes_nothing_and_takes_up_what_was_paid_out():
     assert taut == pytest.approx(-5e-3 - L / EA, abs=4e-5)
 
 
-@pytest.mark.parametrize("knobs", EXACT.values(), ids=EXACT.keys())
-def test_both_ends_of_a_broken_tendon_may_be_pulled(knobs):
+@pytest.mark.parametrize("deviations", EXACT.values(), ids=EXACT.keys())
+def test_both_ends_of_a_broken_tendon_may_be_pulled(deviations):
     rng = np.random.default_rng(2)
     for _ in range(40):
-        chain = random_chain(rng, **{"drag": 0.6} | knobs)
+        chain = random_chain(rng, **{"drag": 0.6} | deviations)
         chain.parted[rng.integers(len(chain.parted))] = 0.05
         loose = stretch(chain, [0.0], [0.0])[-1]
         apart = stretch(chain, [rng.uniform(0.0, 8e-3)], [rng.uniform(-8e-3, 0.0)], loose)[-1]

@@ -8,7 +8,7 @@ from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, 
 from slave.simulation.effects import EffectConfig
 from slave.simulation.environment import FreeConfig, TissueConfig
 from slave.simulation.joint import BodyConfig
-from slave.simulation.sensors import CHANNELS, EncoderConfig, LoadCellConfig
+from slave.simulation.sensor_models import CHANNELS, EncoderConfig, LoadCellConfig
 from teleop.config.loading import load
 from teleop.errors import UsageError
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from slave.simulation.effects import compute_knobs
+from slave.simulation.effects import compute_deviations
 from slave.simulation.effects.elasticity import (
     Creep,
     NonlinearStiffness,
@@ -41,7 +41,7 @@ K = 1.0
 
 def under(chain, *effects, time=1e9, slid=0.0):
     """Return the chain under effects that began `time` [s] and `slid` [m] ago."""
-    return chain._replace(knobs=compute_knobs(effects, time, [slid] * len(effects)))
+    return chain._replace(deviations=compute_deviations(effects, time, [slid] * len(effects)))
 
 
 def pull(chain, to=3e-3, tip=0.0, steps=300, dt=1e-3):

@@ -35,7 +35,7 @@ def joint_of(body, environment=None, tendons=1, tendon=COARSE):
 
 def loose(joint):
     """Return the joint with tendons so long that they never pull."""
-    chain = joint.a.chain._replace(knobs=joint.a.chain.knobs._replace(slack=0.2))
+    chain = joint.a.chain._replace(deviations=joint.a.chain.deviations._replace(slack=0.2))
     tendon = joint.a._replace(chain=chain)
     return joint._replace(a=tendon, b=tendon)
 

@@ -11,7 +11,7 @@ from slave.simulation.environment import STIFFNESS_MAX
 from teleop.cli import commands
 from teleop.config.loading import load
 from teleop.data.measured_table import Columns, read_table, write_table
-from teleop.data.reading import format_reading
+from teleop.data.read_summary import format_read_summary
 
 RIG = (
     "slave.rig.joints=[{{tendons: [{{sheath: {{sections: {sections}, friction: 0.15}}}}], "
@@ -60,7 +60,7 @@ def test_a_saved_fit_gives_the_same_estimates(bench, tmp_path, capsys):
     by_fit, by_file = tmp_path / "fit.csv", tmp_path / "file.csv"
     summary_of(tmp_path, bench, "--fit", "--save", saved, "--out", by_fit)
     summary = summary_of(tmp_path, bench, "--calibration", saved, "--out", by_file)
-    read_as = format_reading(summary["read_as"])
+    read_as = format_read_summary(summary["read_as"])
     assert read_as.startswith(f"{summary['samples']} samples, ")
     assert f"read as   {read_as}" in capsys.readouterr().out
     assert yaml.safe_load(saved.read_text())["source"] == f"bench.csv: {read_as}"

@@ -19,7 +19,7 @@ from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, 
 from slave.sheath_section import SectionConfig
 from slave.simulation.environment import FreeConfig, TissueConfig
 from slave.simulation.joint import BodyConfig
-from slave.simulation.sensors import LoadCellConfig
+from slave.simulation.sensor_models import LoadCellConfig
 from slave.simulation.tendon import SheathConfig
 
 TISSUE = BodyConfig(pretension=1.0, spring=250.0), TissueConfig(position=0.008, stiffness=9000.0)

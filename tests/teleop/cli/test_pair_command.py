@@ -14,7 +14,7 @@ from teleop.cli import commands
 from teleop.cli.pair import PairConfig, read_records
 from teleop.config.loading import load
 from teleop.data.mapping_file import TableMapping
-from teleop.data.reading import format_reading
+from teleop.data.read_summary import format_read_summary
 from teleop.errors import UsageError
 from tests.estimator.pair import pair_bench as bench
 
@@ -60,7 +60,7 @@ def test_the_report_has_friction_and_its_growth(done):
     (kept,) = report["validation"]
     assert kept["ours"]["share"] < 0.05 < kept["baselines"][SHARE]["share"]
     assert json.loads((done.parent / "numbers.json").read_text()) == report
-    read = [f"{each['file']}: {format_reading(each)}" for each in report["read_as"]]
+    read = [f"{each['file']}: {format_read_summary(each)}" for each in report["read_as"]]
     assert "bend150.csv: 60 samples, " in read[3]
     lines = (done.parent / "said.txt").read_text().splitlines()
     assert [line for line in lines if line in {f"read as: {each}" for each in read}] == [

@@ -4,7 +4,7 @@ import pytest
 import teleop
 from slave.rigs.simulated import JointConfig, SimulatedRigConfig, TendonPlantConfig
 from slave.simulation.environment import WallConfig
-from slave.simulation.sensors import EncoderConfig, LoadCellConfig
+from slave.simulation.sensor_models import EncoderConfig, LoadCellConfig
 from teleop import MotionScale
 from teleop.cli import simulate
 from teleop.cli.commands import Parser

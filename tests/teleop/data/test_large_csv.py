@@ -5,7 +5,7 @@ import gzip
 import numpy as np
 import pytest
 
-from teleop.data import file_formats, large_csv, text_table
+from teleop.data import file_formats, large_csv, table_parser
 from teleop.errors import UsageError
 
 HEAD = "time_s,proximal_tension_N,note\n"
@@ -35,7 +35,7 @@ TEXTS = {
 
 
 def read(path, large, monkeypatch):
-    monkeypatch.setattr(text_table, "LARGE_FILE_BYTES", 0 if large else 1 << 60)
+    monkeypatch.setattr(table_parser, "LARGE_FILE_BYTES", 0 if large else 1 << 60)
     try:
         raw = file_formats.read_columns(path)
     except UsageError as error:
@@ -58,8 +58,8 @@ def test_both_readers_agree(tmp_path, monkeypatch, kind):
 
 
 def test_it_is_used_and_says_how_far_it_is(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(text_table, "LARGE_FILE_BYTES", 0)
-    monkeypatch.setattr(text_table, "read_rows", lambda *_: pytest.fail("read by rows"))
+    monkeypatch.setattr(table_parser, "LARGE_FILE_BYTES", 0)
+    monkeypatch.setattr(table_parser, "read_rows", lambda *_: pytest.fail("read by rows"))
     monkeypatch.setattr(large_csv, "PROGRESS_DELAY_S", -1.0)
     monkeypatch.setattr(large_csv, "BLOCK_BYTES", 1 << 12)
     numbers = np.arange(20_000.0)
@@ -72,7 +72,7 @@ def test_it_is_used_and_says_how_far_it_is(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize("cut", [0.2, 0.9])
 def test_a_cut_off_file_is_not_taken_for_a_shorter_one(tmp_path, monkeypatch, cut):
-    monkeypatch.setattr(text_table, "LARGE_FILE_BYTES", 0)
+    monkeypatch.setattr(table_parser, "LARGE_FILE_BYTES", 0)
     text = "a,b\n" + "".join(f"{k},{k / 7}\n" for k in range(9000))
     data = gzip.compress(text.encode())
     path = tmp_path / "x.csv.gz"

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop.data import file_formats, read_limits, text_table
+from teleop.data import file_formats, read_limits, table_parser
 from teleop.data.measured_table import Columns, read_table, read_tables, write_table
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS, TendonState, pad_values
@@ -231,7 +231,7 @@ LARGE = {
 def test_text_that_unpacks_without_end_is_refused(
     tmp_path, small, monkeypatch, kind, suffix, large
 ):
-    monkeypatch.setattr(text_table, "LARGE_FILE_BYTES", 0 if large else 1 << 60)
+    monkeypatch.setattr(table_parser, "LARGE_FILE_BYTES", 0 if large else 1 << 60)
     if kind == "text":
         monkeypatch.setattr(read_limits, "CELLS_MAX", 1 << 40)
     text, said = LARGE[kind]
@@ -266,7 +266,7 @@ def test_a_footer_that_has_no_end_is_not_read(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("blocks", [False, True])
 def test_a_quoted_cell_without_end_is_refused_with_its_line(path, monkeypatch, blocks):
-    monkeypatch.setattr(text_table, "LARGE_FILE_BYTES", 0 if blocks else 1 << 60)
+    monkeypatch.setattr(table_parser, "LARGE_FILE_BYTES", 0 if blocks else 1 << 60)
     note = "x" * 200_000  # within a line, beyond a cell
     text = f"time_s,proximal_tension_N,note\n0,1,a\n0.1,2,{note}\n0.2,-9,b\n"
     assert "field larger than" in refusal(path, text)

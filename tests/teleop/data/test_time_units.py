@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.teleop.data.test_text_table import (
+from tests.teleop.data.test_table_parser import (
     MOMENTS,
     NAMES,
     TENSION,

@@ -3,9 +3,9 @@
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from teleop.security.authority import Authority
-from teleop.security.certificates import write_file, write_key
 from teleop.security.credentials import build_file_stem
 from teleop.security.identity import RIGHTS, CertificateRole, Identity
+from teleop.security.key_files import write_file, write_key
 
 
 def put(authority, folder, identity, days=1.0, start=None, name=""):

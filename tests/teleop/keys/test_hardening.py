@@ -13,12 +13,12 @@ from teleop.cli import commands
 from teleop.errors import UsageError
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import Role
-from teleop.security import CertificateError, certificates, credentials
+from teleop.security import CertificateError, credentials, identity, key_files
 from teleop.security.authority import Authority, _build_certificate, _build_name
-from teleop.security.certificates import write_file
 from teleop.security.credentials import create_local_credentials, find_local_folder
 from teleop.security.handshake import Handshake
 from teleop.security.identity import CertificateRole, Identity
+from teleop.security.key_files import write_file
 from teleop.security.presence import RoleStage, Token
 from teleop.security.revocation import REVOKED
 from tests.teleop.keys.folder import make_keys
@@ -76,7 +76,7 @@ def test_a_write_that_fails_leaves_neither_a_part_of_the_key_nor_a_broken_file(
     def full(_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(certificates.os, "fsync", full)
+    monkeypatch.setattr(key_files.os, "fsync", full)
     with pytest.raises(UsageError, match="No space left"):
         write_file(path, b"after", 0o600)
     assert path.read_bytes() == b"before"
@@ -130,9 +130,9 @@ def test_an_authority_that_has_expired_ends_its_certificates(authority):
     with pytest.raises(
         CertificateError, match=r"the authority of the certificate master\.test exp"
     ):
-        credentials.identify_holder(certificate, old.certificate, frozenset())
+        identity.identify_holder(certificate, old.certificate, frozenset())
     certificate, _ = authority.issue(MASTER, 1.0)
-    assert credentials.identify_holder(certificate, authority.certificate, frozenset()) == MASTER
+    assert identity.identify_holder(certificate, authority.certificate, frozenset()) == MASTER
 
 
 def test_the_command_refuses_what_would_do_nothing(tmp_path, refused):
@@ -157,7 +157,7 @@ def test_a_name_out_of_a_foreign_certificate_cannot_write_to_the_terminal():
         )
         certificate = basic.sign(other.key, None)
         with pytest.raises(CertificateError) as caught:
-            credentials.identify_holder(
+            identity.identify_holder(
                 certificate, Authority.create("ours", 2).certificate, frozenset()
             )
         assert str(caught.value).isprintable()

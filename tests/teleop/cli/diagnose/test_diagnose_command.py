@@ -12,7 +12,7 @@ from teleop.cli import commands
 from teleop.data import model_file
 from teleop.data.file_formats import read_columns
 from teleop.data.measured_table import write_table
-from teleop.data.reading import format_reading
+from teleop.data.read_summary import format_read_summary
 
 FAULT = "distal_tension_gain"
 KEYS = {
@@ -147,7 +147,7 @@ def test_the_report_has_validation_and_each_file_left_out(report, folder, csv):
     assert kept["channels"]["distal_tension"]["samples"] == 500
     assert [one["file"] for one in report["left_out"]] == [str(csv), str(folder / "second.parquet")]
     assert [one["validation"] for one in report["forces"]] == [False, False, True]
-    read = [f"{each['file']}: {format_reading(each)}" for each in report["read_as"]]
+    read = [f"{each['file']}: {format_read_summary(each)}" for each in report["read_as"]]
     assert read[2] == f"{kept['file']}: 500 samples, 9.98 s, 50 Hz"
     page = (folder / "out" / "report.html").read_text()
     assert all(f"<li>{line}</li>" in page for line in read)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slave.simulation.motor import MotorConfig
-from slave.simulation.sensors import (
+from slave.simulation.sensor_models import (
     EncoderConfig,
     LoadCellConfig,
     build_sensors,

@@ -5,7 +5,7 @@ import pytest
 
 from estimator.adaptation import run_adapting
 from estimator.pair_adaptation import run_adapting_pair
-from estimator.sensing_loop import LoopState, measure_loop_friction
+from estimator.sensing_loop_friction import SensingLoopState, measure_loop_friction
 from estimator.structs import view_struct
 from studies.adaptation import Conditions, score_use, simulate_use
 
@@ -35,7 +35,7 @@ def simulate_loop(friction, after):
 
 def test_friction_at_the_tip_is_measured_within_a_second_whatever_the_gains():
     time, tensions = simulate_loop(0.5, 0.6)
-    state, readings = view_struct(LoopState.array()), []
+    state, readings = view_struct(SensingLoopState.array()), []
     for t, (moved, held) in zip(time, tensions, strict=True):
         phi = measure_loop_friction(state, moved, held, 1.0 / RATE)
         if not np.isnan(phi):
@@ -81,7 +81,7 @@ def test_a_faulty_loop_changes_nothing(tip, fault):
 def test_a_loop_is_read_on_after_a_bad_sample(bad):
     time, tensions = simulate_loop(0.5, 0.5)
     tensions[len(time) // 2] = bad
-    state = view_struct(LoopState.array())
+    state = view_struct(SensingLoopState.array())
     phi = [measure_loop_friction(state, moved, held, 1.0 / RATE) for moved, held in tensions]
     late = np.array(phi)[len(time) // 2 :]
     assert late[~np.isnan(late)] == pytest.approx(0.5, rel=0.03)

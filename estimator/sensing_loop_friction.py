@@ -26,7 +26,7 @@ AGE_MAX_S = 5.0  # [s] of the last reading, that tell the gains of the cells
 GAIN_SHARE = 0.1  # of a new value in the gain: a change of phi between two readings shows in it
 
 
-class LoopState(Struct):
+class SensingLoopState(Struct):
     """A sensing loop between two samples."""
 
     tension: Annotated[Array, Field("f8", 2, fill=math.nan)]  # [N] averaged
@@ -42,7 +42,7 @@ class LoopState(Struct):
 
 
 @jit_compile
-def measure_loop_friction(state: LoopState, moved: float, held: float, dt: float) -> float:
+def measure_loop_friction(state: SensingLoopState, moved: float, held: float, dt: float) -> float:
     """Return phi if this sample completes a reading, else NaN; change `state` in place.
 
     `moved` and `held` [N] are the tensions at the two ends, `dt` [s] the time since the last ones.

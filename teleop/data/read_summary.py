@@ -15,7 +15,7 @@ FILES_SHOWN = 6  # in a terminal, of many
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class ReadSummary:
     """How a table was read."""
 
     file: str  # and which of its runs
@@ -25,7 +25,7 @@ class Reading:
     remarks: tuple[str, ...] = ()
 
     @classmethod
-    def from_table(cls, table: MeasuredTable) -> "Reading":
+    def from_table(cls, table: MeasuredTable) -> "ReadSummary":
         """Return how a table of one tendon was read, its channels named as in its units."""
         named = {k: v.rpartition("_")[0] for k, v in STANDARD_NAMES[table.units].items()}
         channels = {
@@ -57,8 +57,8 @@ class Reading:
         }
 
 
-def format_reading(reading: Mapping[str, Any]) -> str:
-    """Return what `Reading.to_json` says on one line, without the file's name."""
+def format_read_summary(reading: Mapping[str, Any]) -> str:
+    """Return what `ReadSummary.to_json` says on one line, without the file's name."""
     rate = f", {reading['rate_hz']:.6g} Hz" if reading["rate_hz"] else ""
     parts = [f"{reading['samples']} samples, {reading['duration_s']:.6g} s{rate}"]
     if reading["dropped"]:
@@ -74,9 +74,9 @@ def format_reading(reading: Mapping[str, Any]) -> str:
     return "; ".join([*parts, *reading["remarks"]])
 
 
-def format_readings(readings: Sequence[Mapping[str, Any]]) -> str:
+def format_read_summaries(readings: Sequence[Mapping[str, Any]]) -> str:
     """Return a line for each table, of many for the first, below a blank one."""
-    lines = [f"read as: {each['file']}: {format_reading(each)}" for each in readings]
+    lines = [f"read as: {each['file']}: {format_read_summary(each)}" for each in readings]
     if (more := len(lines) - FILES_SHOWN) > 0:
         lines[FILES_SHOWN:] = [f"read as: {more} files more, in the report"]
     return "\n".join(["", *lines])

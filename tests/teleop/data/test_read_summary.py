@@ -5,7 +5,7 @@ import numpy as np
 from teleop.cli.commands import main
 from teleop.data.mapping_file import TableMapping, parse_column_options
 from teleop.data.measured_table import read_table
-from teleop.data.reading import Reading, format_reading, format_readings
+from teleop.data.read_summary import ReadSummary, format_read_summaries, format_read_summary
 
 TIME = np.delete(np.arange(50) * 20.0, [30, 31])  # [ms]
 CELLS = [f"{t:.0f};{5 + np.sin(t / 300):.4f};{1 + np.sin(t / 300):.5f}" for t in TIME]
@@ -18,23 +18,25 @@ def test_columns_units_rate_and_what_is_missing_are_said(tmp_path):
     path.write_text(TEXT)
     options = ["time=t[ms]", "proximal_tension=F [kgf]", "proximal_displacement=q_mm"]
     table = read_table(path, parse_column_options(options).names, True, diagnosed=True)
-    reading = Reading.from_table(table).to_json()
+    reading = ReadSummary.from_table(table).to_json()
     assert (reading["samples"], reading["dropped"], reading["gaps"]) == (46, 2, 3)
     assert reading["channels"]["proximal_displacement"]["factor"] == 1e-3
-    assert format_reading(reading) == (
+    assert format_read_summary(reading) == (
         "46 samples, 0.98 s, 50 Hz; 2 rows left out; 3 gaps, the longest 0.06 s; time from t [ms]; "
         "proximal_tension from F [kgf] [kgf]; proximal_displacement from q_mm [mm]; semicolons "
         "between columns; decimal commas; names in line 2; column 'F [kgf]' has 1 OVLD (an "
         "overload: out of the range)"
     )
     plain = read_table(path, parse_column_options(options).names, diagnosed=True)
-    assert "1 proximal_displacement missing" in format_reading(Reading.from_table(plain).to_json())
-    assert format_readings([reading] * 9).endswith("\nread as: 3 files more, in the report")
+    assert "1 proximal_displacement missing" in format_read_summary(
+        ReadSummary.from_table(plain).to_json()
+    )
+    assert format_read_summaries([reading] * 9).endswith("\nread as: 3 files more, in the report")
 
 
 def test_a_plain_table_is_read_as_it_is(tmp_path):
     main(["simulate", "--out", str(tmp_path / "x.csv"), "--duration", "2"])
     table = read_table(tmp_path / "x.csv", mapping=TableMapping())
-    reading = Reading.from_table(table).to_json()
-    assert format_reading(reading).startswith(f"{len(table.time)} samples, ")
-    assert ";" not in format_reading(reading)
+    reading = ReadSummary.from_table(table).to_json()
+    assert format_read_summary(reading).startswith(f"{len(table.time)} samples, ")
+    assert ";" not in format_read_summary(reading)
