@@ -13,7 +13,7 @@ from estimator import noise_treatment
 from estimator.array_types import Array
 from estimator.law.sheath import ASSUMED_COMPLIANCE
 from estimator.online.extended_model import EffectUse, explain_omission
-from estimator.spikes import SAMPLES_MIN
+from estimator.signals.spikes import SAMPLES_MIN
 from slave.calibration.calibration_file import JointTendons
 from slave.tendon_config import TendonConfig
 from teleop.data import model_file

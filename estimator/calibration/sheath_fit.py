@@ -34,7 +34,7 @@ from estimator.plausibility import (
     find_implausible_parameter,
     find_unit_slip,
 )
-from estimator.spikes import remove_spikes
+from estimator.signals.spikes import remove_spikes
 
 AXIAL_STIFFNESS = 9000.0  # [N] where the data do not tell EA: the tendon of Phee et al. 2009
 ROWS_MIN = 20

@@ -61,7 +61,6 @@ from estimator.diagnosis.record import (
 )
 from estimator.diagnosis.residual_structure import find_residual_dependence
 from estimator.diagnosis.rivals import CauseError
-from estimator.diagnosis.sampling import mark_missing
 from estimator.diagnosis.scoring import (
     Choice,
     bootstrap_gain,
@@ -88,6 +87,7 @@ from estimator.diagnosis.validation import (
 from estimator.effects import CATALOGUE, CHANNELS, Effect
 from estimator.effects.functions import find_column, find_function
 from estimator.measured_data import MeasuredData
+from estimator.signals.sampling import mark_missing
 from estimator.units import LINEAR, Units
 
 __all__ = ["CauseError", "RecordError", "diagnose"]

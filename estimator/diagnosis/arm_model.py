@@ -16,8 +16,6 @@ from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
 from estimator.array_types import Array, Mask
 from estimator.compiled import jit_compile
-from estimator.diagnosis.driving_signal import estimate_travel_drive
-from estimator.diagnosis.noise import estimate_white_noise
 from estimator.diagnosis.record import Record, RecordError, prepare_record
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import DISTAL_DISPLACEMENT, DISTAL_TENSION, PROXIMAL_TENSION, Signals
@@ -25,6 +23,8 @@ from estimator.law.sheath import Sheath
 from estimator.noise_treatment import apply_play
 from estimator.routing.routing import PreparedRouting, Routing, prepare
 from estimator.routing.tensions import advance, open_tensions
+from estimator.signals.driving_signal import estimate_travel_drive
+from estimator.signals.noise import estimate_white_noise
 
 TRAVEL = DISTAL_DISPLACEMENT
 """Name of the motor's travel in a record of a tendon: compared here, it drives nothing."""

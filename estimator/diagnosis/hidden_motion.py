@@ -16,9 +16,7 @@ from estimator.diagnosis.dataset import (
     invert_effects,
     simulate_record,
 )
-from estimator.diagnosis.driving_signal import compute_rate, estimate_drive
 from estimator.diagnosis.record import Record
-from estimator.diagnosis.sampling import DataIssue
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
     PROXIMAL_DISPLACEMENT,
@@ -28,6 +26,8 @@ from estimator.effects.effect import (
     Values,
 )
 from estimator.lumped.lumped_model import DrivenTendon
+from estimator.signals.driving_signal import compute_rate, estimate_drive
+from estimator.signals.sampling import DataIssue
 
 # --- what the noise of what drives a simulation makes of it
 

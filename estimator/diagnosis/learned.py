@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.diagnosis.driving_signal import find_turning_points
 from estimator.diagnosis.record import Record
 from estimator.diagnosis.scoring import (
     ChannelErrors,
@@ -26,8 +25,8 @@ from estimator.diagnosis.validation import Fold
 from estimator.effects.effect import PROXIMAL_TENSION
 from estimator.hysteresis_operators import apply_proportional_play
 from estimator.noise_treatment import apply_play
+from estimator.signals.driving_signal import find_turning_points
 
-INSTALL = "pip install 'tendon-teleop[learned]'"
 LEARNED, CORRECTED = "learned from the drive", "the law, corrected by learning"
 _HALF_WIDTHS = (0.002, 0.007, 0.02, 0.05, 0.1, 0.2, 0.35)  # of plays, of the drive's range
 _FRICTIONS = (0.1, 0.3, 0.6, 1.0, 1.6)  # K of plays in proportion to a tension

@@ -11,7 +11,6 @@ from estimator.array_types import Array
 from estimator.diagnosis.dataset import Dataset, Fit, SimulatedRecord
 from estimator.diagnosis.record import UNIT_SCALE, BenchScale, Record
 from estimator.diagnosis.residual_structure import ResidualDependence
-from estimator.diagnosis.sampling import DataIssue
 from estimator.diagnosis.scoring import Choice, SimpleFit, SimpleGain
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
@@ -22,6 +21,7 @@ from estimator.effects.effect import (
     Values,
 )
 from estimator.fitting import IntervalEstimate
+from estimator.signals.sampling import DataIssue
 from estimator.units import Units
 
 

@@ -1,7 +1,7 @@
 """A record of measured data, made ready to be compared with a simulation.
 
 The simulation is driven by the motor's travel where there is one, else by the tension at the
-housing, without its noise (`estimator.diagnosis.driving_signal`). All other channels are compared
+housing, without its noise (`estimator.signals.driving_signal`). All other channels are compared
 as they are, without filters.
 """
 
@@ -16,14 +16,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array, Mask
-from estimator.diagnosis.driving_signal import (
+from estimator.diagnosis.settings import SETTINGS
+from estimator.effects.effect import (
+    CHANNELS,
+    DISTAL_DISPLACEMENT,
+    DISTAL_TENSION,
+    PROXIMAL_DISPLACEMENT,
+    PROXIMAL_TENSION,
+    Signals,
+)
+from estimator.measured_data import Samples
+from estimator.plausibility import find_channel_faults, suggest_sign
+from estimator.signals.driving_signal import (
+    REVERSAL_SHARE,
     compute_rate,
     estimate_drive,
     find_turning_points,
     find_turns_between_samples,
 )
-from estimator.diagnosis.noise import estimate_white_noise, find_quantisation_step
-from estimator.diagnosis.sampling import (
+from estimator.signals.noise import estimate_white_noise, find_quantisation_step
+from estimator.signals.sampling import (
     DataIssue,
     assign_blocks,
     decimate_record,
@@ -38,17 +50,6 @@ from estimator.diagnosis.sampling import (
     select_training_half,
     select_valid_samples,
 )
-from estimator.diagnosis.settings import SETTINGS
-from estimator.effects.effect import (
-    CHANNELS,
-    DISTAL_DISPLACEMENT,
-    DISTAL_TENSION,
-    PROXIMAL_DISPLACEMENT,
-    PROXIMAL_TENSION,
-    Signals,
-)
-from estimator.measured_data import Samples
-from estimator.plausibility import find_channel_faults, suggest_sign
 from estimator.units import LINEAR, Units
 
 TRAVELS = {PROXIMAL_DISPLACEMENT, DISTAL_DISPLACEMENT}
@@ -141,7 +142,7 @@ def exclude_turns(time: Array, drive: Array, valid: Mask) -> tuple[Mask, list[Da
     There friction reverses within less than an encoder resolves, or between two samples: the state
     of the reversal is unknown.
     """
-    reversal_min = SETTINGS.reversal_share * float(np.ptp(drive))
+    reversal_min = REVERSAL_SHARE * float(np.ptp(drive))
     turns = np.array(find_turning_points(drive, reversal_min))[1:-1]
     is_at_turn = np.zeros_like(valid)
     for offset in (-1, 0, 1):
@@ -222,7 +223,7 @@ def prepare_record(
     ----------
     time : ndarray
         Stamps [s], shape (n,), strictly rising; see
-        `estimator.diagnosis.sampling.estimate_sample_times`.
+        `estimator.signals.sampling.estimate_sample_times`.
     signals : dict
         By channel of `estimator.effects.CHANNELS`, the tension at the housing at least, in
         `units`, shape (n,), not finite where a value is missing.

@@ -14,7 +14,6 @@ from estimator.diagnosis.dataset import (
     TIP_COMPLIANCE,
     compute_tolerance,
 )
-from estimator.diagnosis.learned import INSTALL
 from estimator.diagnosis.outcome import (
     CauseStep,
     Curve,
@@ -315,7 +314,8 @@ def compare_with_learned(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.fit_all:
         return []
     if not diagnosis.learned_models:
-        return [f"To see whether a learned model would find more: {INSTALL}."]
+        install = "pip install 'tendon-teleop[learned]'"
+        return [f"To see whether a learned model would find more: {install}."]
     lines, tolerance = [], compute_tolerance(diagnosis.dataset)
     for channel, gain in diagnosis.learned_gain.items():
         errors, noise = diagnosis.after.held_out[channel], diagnosis.noise[channel]

@@ -8,10 +8,10 @@ import numpy as np
 
 from estimator.array_types import Array, Mask
 from estimator.diagnosis.dataset import Dataset, Fit
-from estimator.diagnosis.sampling import GAP_PERIODS
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import PROXIMAL_TENSION
 from estimator.fitting import COVERAGE_FACTOR
+from estimator.signals.sampling import GAP_PERIODS
 
 # --- what it depends on
 

@@ -1,4 +1,4 @@
-"""All thresholds of the diagnosis in one place.
+"""All thresholds of the diagnosis in one place, but for those of `estimator.signals`.
 
 Where no source is named, a value is a choice; studies/hidden_effects measures how often the verdict
 on simulated benches is right with it. How hard the fits search (rounds, starts, steps) stands where
@@ -18,20 +18,10 @@ class Settings:
     # which samples of a record count (record.py)
     samples_min: int = 100  # of a record that is accepted
     samples_max: int = 20_000  # that are simulated; a longer record is averaged
-    block: float = 5.0  # [s] that are fitted, and as long that are held out
-    blocks_min: int = 12  # of a record; in a short one they are shorter
-    imbalance_max: float = 0.5  # of what moves both halves, up to which every other block is fitted
-    rest_speed_ratio: float = 0.02  # of a high speed, below which the drive rests
     cycle_block: float = 0.25  # of a block's length, where a cycle is looked for
     short_block: float = 0.02  # of a block's length, where the error fills but a block or two
     noise_min: float = 2e-4  # of a channel's range; nothing is simulated more precisely
-    reversal_share: float = 1e-3  # of the drive's range that the motor goes back by, at least
     reversals_max: float = 0.3  # of the samples, that are left out beside reversals
-    jitter: float = 4.0  # minimum reversal size, in sigma of the drive's noise
-    jitter_quantile: float = 0.9  # of the noise that smoothing leaves on its samples
-    reversal_noise: float = 3.0  # minimum reversal size, in sigma of a travel's noise
-    equal_error: float = 12.0  # noise variances by which two places of a reversal fit alike
-    corner_ratio: float = 0.4  # least over largest curvature about a reversal; below it is a corner
     push_share: float = 0.1  # of the largest effort, of the other sign: a closed loop, no tendon
     hidden_tension: float = 4.0  # sigma: a tension so far off shows a motion that travel hides,
     hidden_tension_end: float = 2.0  # until it is no further off than that;

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from estimator.array_types import Array, Mask
 from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import Record, RecordError, prepare_record
-from estimator.diagnosis.sampling import drop_missing
 from estimator.diagnosis.scoring import (
     ChannelErrors,
     bootstrap_superiority,
@@ -44,6 +43,7 @@ from estimator.fitting import (
 from estimator.hysteresis_operators import apply_widening_play
 from estimator.measured_data import MeasuredData
 from estimator.noise_treatment import apply_play
+from estimator.signals.sampling import drop_missing
 from estimator.spline import evaluate_spline
 from estimator.units import LINEAR, Units
 

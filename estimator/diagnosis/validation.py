@@ -66,7 +66,7 @@ from estimator.online.extended_model import (
 )
 from estimator.online.force_error import Score
 from estimator.online.tendon_model import TendonModel
-from estimator.spikes import remove_spikes
+from estimator.signals.spikes import remove_spikes
 
 # --- records that a model was not fitted to, predicted by it: validation, and leave-one-file-out
 

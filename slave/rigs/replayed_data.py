@@ -10,7 +10,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.effects.effect import CHANNELS
 from estimator.plausibility import find_channel_faults
-from estimator.spikes import remove_spikes
+from estimator.signals.spikes import remove_spikes
 from slave.rig import RigFinished, RigSample
 from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.data.mapping_file import map_columns, read_mapping

@@ -28,7 +28,7 @@ from estimator.online.estimator import Estimator
 from estimator.online.force_error import FULL_SCALE_SIGMAS, Score
 from estimator.pair_adaptation import run_adapting_pair
 from estimator.plausibility import find_channel_faults, find_contradiction, find_stretch_slip
-from estimator.spikes import remove_spikes
+from estimator.signals.spikes import remove_spikes
 from estimator.units import LINEAR
 from slave import model_files
 from slave.calibration import calibration_file

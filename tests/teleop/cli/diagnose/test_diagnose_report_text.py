@@ -11,7 +11,7 @@ from estimator.diagnosis.api import diagnose_records
 from estimator.diagnosis.outcome import DetectionLimit, FittedValue, Verdict
 from estimator.diagnosis.record import prepare_record
 from estimator.diagnosis.residual_structure import ResidualDependence
-from estimator.diagnosis.sampling import DataIssue
+from estimator.signals.sampling import DataIssue
 from estimator.units import format_quantity
 from studies import hidden_effects
 from teleop.cli.diagnose import html_report, json_report

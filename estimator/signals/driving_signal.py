@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array, Mask
 from estimator.compiled import jit_compile
-from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import PROXIMAL_TENSION
 
 # --- the motion behind a noisy travel, by local polynomials whose window adapts to the motion
@@ -114,7 +113,13 @@ def _fit_local_polynomials(
 
 
 SPEED_WINDOW = 0.02  # [s] over which speed is taken
+JITTER = 4.0  # minimum reversal size, in sigma of the drive's noise
+JITTER_QUANTILE = 0.9  # of the noise that smoothing leaves on its samples
+REVERSAL_NOISE = 3.0  # minimum reversal size, in sigma of a travel's noise
+REVERSAL_SHARE = 1e-3  # of the drive's range that the motor goes back by, at least
 TURN_CANDIDATES = 24  # places in a rest at which the motor may have turned
+EQUAL_ERROR = 12.0  # noise variances by which two places of a reversal fit alike
+CORNER_RATIO = 0.4  # least over largest curvature about a reversal; below it is a corner
 
 
 class Drive(NamedTuple):
@@ -133,7 +138,7 @@ def estimate_drive(driver: str, time: Array, measured: Array, sigma: float) -> D
 
 def estimate_tension_drive(tension: Array, sigma: float) -> Drive:
     """Return the drive of a tension [N] with noise `sigma`: monotone between its turns."""
-    jitter = SETTINGS.jitter * sigma
+    jitter = JITTER * sigma
     return Drive(make_monotone(tension, find_turning_points(tension, jitter), jitter), jitter)
 
 
@@ -144,8 +149,8 @@ def estimate_travel_drive(travel: Array, sigma: float, time: Array | None = None
     """
     smoothed, residual_sigma = smooth_signal(travel, sigma, time)
     jitter = max(
-        SETTINGS.jitter * float(np.quantile(residual_sigma, SETTINGS.jitter_quantile)),
-        SETTINGS.reversal_noise * sigma,
+        JITTER * float(np.quantile(residual_sigma, JITTER_QUANTILE)),
+        REVERSAL_NOISE * sigma,
     )
     turns = _find_latest_turns(travel, smoothed, find_turning_points(smoothed, jitter), sigma)
     return Drive(make_monotone(smoothed, turns, jitter), jitter)
@@ -181,7 +186,7 @@ def _find_latest_turns(travel: Array, smoothed: Array, turns: list[int], sigma: 
     latest = list(turns)
     for i in range(1, len(turns) - 1):
         turn = turns[i]
-        is_near = np.abs(smoothed - smoothed[turn]) <= SETTINGS.jitter * sigma
+        is_near = np.abs(smoothed - smoothed[turn]) <= JITTER * sigma
         begin = turn - _count_leading_true(is_near[latest[i - 1] : turn + 1][::-1]) + 1
         end = turn + _count_leading_true(is_near[turn : turns[i + 1]]) - 1
         if end <= turn:
@@ -195,7 +200,7 @@ def _find_latest_turns(travel: Array, smoothed: Array, turns: list[int], sigma: 
                 for row in candidates
             ]
         )
-        is_equivalent = errors <= errors.min() + SETTINGS.equal_error * sigma**2
+        is_equivalent = errors <= errors.min() + EQUAL_ERROR * sigma**2
         latest[i] = int(candidates[np.flatnonzero(is_equivalent)[-1]])
     return latest
 
@@ -265,11 +270,11 @@ def find_turns_between_samples(time: Array, drive: Array, excess_min: float) -> 
     """
     curvatures = np.diff(np.diff(drive) / np.diff(time)) / (time[2:] - time[:-2])
     turns = Turns([], [], [])
-    for i in find_turning_points(drive, SETTINGS.reversal_share * float(np.ptp(drive)))[1:-1]:
+    for i in find_turning_points(drive, REVERSAL_SHARE * float(np.ptp(drive)))[1:-1]:
         curvature = curvatures[max(i - 2, 0) : i + 1]
         if len(curvature) < 3 or np.ptp(np.sign(curvature)):
             continue
-        if not np.abs(curvature).min() > SETTINGS.corner_ratio * float(np.abs(curvature).max()):
+        if not np.abs(curvature).min() > CORNER_RATIO * float(np.abs(curvature).max()):
             continue
         time_before, time_here = float(time[i - 1]), float(time[i])
         slope = float(drive[i] - drive[i - 1]) / (time_here - time_before)

@@ -13,15 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array, Mask
-from estimator.diagnosis.noise import (
+from estimator.effects.effect import Signals
+from estimator.noise_treatment import estimate_noise_sigma
+from estimator.signals.noise import (
     compute_block_rms,
     compute_divided_differences,
     find_quantisation_step,
 )
-from estimator.diagnosis.settings import SETTINGS
-from estimator.effects.effect import Signals
-from estimator.noise_treatment import estimate_noise_sigma
-from estimator.spikes import find_spikes
+from estimator.signals.spikes import find_spikes
 
 STEP_SCATTER_MAX = 0.02  # of the period: scatter of the steps below which stamps are even
 GAP_PERIODS = 1.75  # periods: a step with a sample missing in it
@@ -180,6 +179,11 @@ def find_held_samples(signal: Array, step: float) -> Mask:
 
 # --- which samples of a record are fitted, and which are held out: blocks in turn
 
+BLOCK = 5.0  # [s] that are fitted, and as long that are held out
+BLOCKS_MIN = 12  # of a record; in a short one they are shorter
+IMBALANCE_MAX = 0.5  # of what moves both halves, up to which every other block is fitted
+REST_SPEED_RATIO = 0.02  # of a high speed, below which the drive rests
+
 
 def select_training_half(block: NDArray[np.int64], drive: Array, speed: Array) -> Mask:
     """Return which samples are fitted: every other block, if both halves see the same motion.
@@ -188,7 +192,7 @@ def select_training_half(block: NDArray[np.int64], drive: Array, speed: Array) -
     go. Then they are chosen aperiodically.
     """
     alternate: Mask = block % 2 == 0
-    if _compute_imbalance(alternate, drive, speed) < SETTINGS.imbalance_max:
+    if _compute_imbalance(alternate, drive, speed) < IMBALANCE_MAX:
         return alternate
     halves = alternate, select_aperiodic_half(block)
     return min(halves, key=lambda half: _compute_imbalance(half, drive, speed))
@@ -212,7 +216,7 @@ def _compute_imbalance(fitted: Mask, drive: Array, speed: Array) -> float:
     each while it rises, rests and falls.
     """
     level = np.searchsorted(np.quantile(drive, [1.0 / 3.0, 2.0 / 3.0]), drive)
-    rest_speed = SETTINGS.rest_speed_ratio * float(np.quantile(np.abs(speed), 0.95))
+    rest_speed = REST_SPEED_RATIO * float(np.quantile(np.abs(speed), 0.95))
     direction = np.sign(speed) * (np.abs(speed) > rest_speed)
     state = (3 * level + direction + 1.0).astype(np.int64)
     shares = [
@@ -224,7 +228,7 @@ def _compute_imbalance(fitted: Mask, drive: Array, speed: Array) -> float:
 
 def assign_blocks(time: Array, share: float = 1.0) -> NDArray[np.int64]:
     """Return the number of the block each sample is in, shape (n,); they are a `share` as long."""
-    length = share * min(SETTINGS.block, float(time[-1] - time[0]) / SETTINGS.blocks_min)
+    length = share * min(BLOCK, float(time[-1] - time[0]) / BLOCKS_MIN)
     length = max(length, 2.0 * float(np.median(np.diff(time))))
     return np.asarray((time - time[0]) / length, dtype=np.int64)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis.noise import estimate_white_noise
+from estimator.signals.noise import estimate_white_noise
 
 SIGMA = 1e-6
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis.driving_signal import (
+from estimator.signals.driving_signal import (
     estimate_travel_drive,
     find_turning_points,
     smooth_signal,
 )
-from estimator.diagnosis.noise import estimate_white_noise
+from estimator.signals.noise import estimate_white_noise
 
 CASES = [(50.0, 1e-7), (200.0, 1e-6), (1000.0, 5e-6), (50.0, 5e-6)]  # [Hz], [m]
 
