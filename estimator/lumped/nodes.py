@@ -118,18 +118,23 @@ def fill_contacts(
 
     From the tensions of the sample before, which are near enough and spare the search much.
     """
+    half_k_max = _HALF_FRICTION_MAX / max(1.0, law.asymmetry)
     for j in range(len(half_k)):
-        tension = 0.5 * (T_old[j] + T_old[j + 1])
-        share = max(1.0 + law.rise * tension, _FRICTION_MIN)
-        if law.exponent != 1.0:
-            share *= (max(tension, _MIN_TENSION) / law.reference) ** (law.exponent - 1.0)
-        if law.stribeck != 0.0:
-            x = speed[j] / law.stribeck_speed
-            share *= 1.0 + law.stribeck * math.exp(-x * x)
-        if law.static != 0.0:
-            share *= 1.0 + law.static * adhesion[j]
-        ds = K * law.depth * (PLACES[j + 1] - PLACES[j])
-        half_k[j] = min(0.5 * ds * share, _HALF_FRICTION_MAX / max(1.0, law.asymmetry))
+        half_k[j] = 0.5 * (K * law.depth * (PLACES[j + 1] - PLACES[j]))
+    if law.rise != 0.0 or law.exponent != 1.0 or law.stribeck != 0.0 or law.static != 0.0:
+        for j in range(len(half_k)):
+            tension = 0.5 * (T_old[j] + T_old[j + 1])
+            share = max(1.0 + law.rise * tension, _FRICTION_MIN)
+            if law.exponent != 1.0:
+                share *= (max(tension, _MIN_TENSION) / law.reference) ** (law.exponent - 1.0)
+            if law.stribeck != 0.0:
+                x = speed[j] / law.stribeck_speed
+                share *= 1.0 + law.stribeck * math.exp(-x * x)
+            if law.static != 0.0:
+                share *= 1.0 + law.static * adhesion[j]
+            half_k[j] *= share
+    for j in range(len(half_k)):
+        half_k[j] = min(half_k[j], half_k_max)
         drag[j] = 2.0 * half_k[j] * law.drag
 
 
