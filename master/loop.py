@@ -75,7 +75,17 @@ class Tick(NamedTuple):
     hand: HandInput
     mapped_hand: HandInput
     state: SlaveState
-    given: TickInput
+    input: TickInput
+
+
+class ForceParts(NamedTuple):
+    """Forces of a tick [N], each of shape (8,); a torque counts as the force at its lever."""
+
+    wanted: Array  # along the hand's motion for joints, as the newest state asks for
+    joint: Array  # what the coupling and the limits admit of it
+    coupling: Array  # the same along the axes of the hand
+    local: Array  # of this side alone
+    weight: Array  # the part of `local` that carries the device
 
 
 def init_master(axes: int, now_ns: int, joints: int | None = None) -> StructArray:
@@ -117,28 +127,19 @@ def compute_command(
     commands : Records
         `Command`, shape (1,), filled in except for the head.
     """
-    settings, memory, out = settings_records[0], memories[0], commands[0]
-    hand, state, inputs, dt = hands[0], states[0], memory.inputs, tick_input.dt
-    mapped_hand = mapped_hands[0]
+    settings, memory, command = settings_records[0], memories[0], commands[0]
+    hand, mapped_hand, state, dt = hands[0], mapped_hands[0], states[0], tick_input.dt
     tick = Tick(settings, memory, hand, mapped_hand, state, tick_input)
     wanted_forces = np.zeros(MAX_JOINTS)
     is_finite = _compute_wanted_forces(tick, wanted_forces)
     workspace.update_presence(settings.operator, memory.presence, hand, dt)
-
-    inputs.usable = hand.present
-    inputs.clutch = hand.clutch
-    inputs.reset = tick_input.reset
-    inputs.stop = tick_input.stop
-    inputs.link, inputs.link_holds = tick_input.link, tick_input.link_holds
-    if tick_input.stop == Reason.NONE and hand.stop:
-        inputs.stop = Reason.EMERGENCY_STOP
-    inputs.follow_s = state_machine.FOLLOW_LIMIT_S + settings.delay_max
+    _take_requests(tick)
     _step_session(tick, is_finite, dt)
     memory.may_render = state_machine.may_render(memory.session)
     memory.has_counted_work = memory.may_render and is_finite
 
-    position: Any = out.position
-    velocity: Any = out.velocity
+    position: Any = command.position
+    velocity: Any = command.velocity
     engaged = memory.session.state == State.ENGAGED
     operator.step(
         settings.operator,
@@ -163,7 +164,7 @@ def compute_command(
         memory.has_counted_work,
         dt,
     )
-    _fill_command(tick, out)
+    _fill_command(tick, command)
 
 
 @jit_compile
@@ -225,16 +226,6 @@ def compute_force(
     return verdict
 
 
-class ForceParts(NamedTuple):
-    """Forces of a tick [N], each of shape (8,); a torque counts as the force at its lever."""
-
-    wanted: Array  # along the hand's motion for joints, as the newest state asks for
-    joint: Array  # what the coupling and the limits admit of it
-    coupling: Array  # the same along the axes of the hand
-    local: Array  # of this side alone
-    weight: Array  # the part of `local` that carries the device
-
-
 @jit_compile
 def _is_rendering(memory: MasterMemory, is_finite: bool) -> bool:
     """Return whether both phases of the tick allow forces.
@@ -269,7 +260,7 @@ def _compute_coupling_forces(
             forces.joint,
             memory.axes,
             memory.joints,
-            tick.given.dt,
+            tick.input.dt,
         )
     axis_map.compute_hand_force(
         velocity_map, forces.joint, memory.axes, memory.joints, forces.coupling
@@ -307,7 +298,7 @@ def _limit_total_force(
     tick: Tick, forces: ForceParts, fresh: bool, is_rendering: bool, out: Array
 ) -> int:
     """Add the parts and apply the limits of rendering and the gate; return its `GateFlags`."""
-    settings, memory, dt = tick.settings, tick.memory, tick.given.dt
+    settings, memory, dt = tick.settings, tick.memory, tick.input.dt
     total = np.zeros(MAX_JOINTS)
     for k in range(memory.axes):
         # the tips' force as the slave limits it, then of this device
@@ -378,16 +369,30 @@ def compute_tip_forces(
 def _compute_wanted_forces(tick: Tick, out: Array) -> bool:
     """Write the wanted forces on the hand [N] to `out`; return whether all are finite."""
     settings, joints = tick.settings, tick.memory.joints
-    feedback.compute_tip_forces(settings.bilateral, tick.state, tick.given.has_state, joints, out)
+    feedback.compute_tip_forces(settings.bilateral, tick.state, tick.input.has_state, joints, out)
     for k in range(joints):
         out[k] = feedback.reflect_force(settings.force.scale, out[k])
     return is_all_finite(out, joints)
 
 
 @jit_compile
+def _take_requests(tick: Tick) -> None:
+    """Fill in what the session is asked in this tick, by the operator, others and the link."""
+    inputs, hand, tick_input = tick.memory.inputs, tick.hand, tick.input
+    inputs.usable = hand.present
+    inputs.clutch = hand.clutch
+    inputs.reset = tick_input.reset
+    inputs.stop = tick_input.stop
+    if tick_input.stop == Reason.NONE and hand.stop:
+        inputs.stop = Reason.EMERGENCY_STOP
+    inputs.link, inputs.link_holds = tick_input.link, tick_input.link_holds
+    inputs.follow_s = state_machine.FOLLOW_LIMIT_S + tick.settings.delay_max
+
+
+@jit_compile
 def _step_session(tick: Tick, is_finite: bool, dt: float) -> None:
     """Step the session with hand and peer; `is_finite` refers to the wanted forces."""
-    memory, hand, state, tick_input = tick.memory, tick.hand, tick.state, tick.given
+    memory, hand, state, tick_input = tick.memory, tick.hand, tick.state, tick.input
     inputs = memory.inputs
     inputs.peer_fresh = is_fresh(tick.settings, tick_input, state)
     inputs.peer_state = State.OFF
@@ -409,7 +414,7 @@ def _step_session(tick: Tick, is_finite: bool, dt: float) -> None:
 def _receive_state(tick: Tick, wanted_forces: Array) -> None:
     """Process energy, waves and tips of the newest state, which asks for `wanted_forces` [N]."""
     settings, memory, state = tick.settings, tick.memory, tick.state
-    if not tick.given.has_state:
+    if not tick.input.has_state:
         return
     energy: Any = state.energy
     wave: Any = state.wave
@@ -432,7 +437,7 @@ def _fill_command(tick: Tick, out: Command) -> None:
     fields: Any = out
     fields.state = memory.session.state
     fields.reason = memory.session.reason
-    fields.echo_stamp_ns = tick.state.stamp_ns if tick.given.has_state else 0
+    fields.echo_stamp_ns = tick.state.stamp_ns if tick.input.has_state else 0
     fields.stops = memory.session.stops
     fields.coupling = settings.bilateral.signature
     fields.force_max = feedback.compute_saturation(settings.force)
@@ -503,7 +508,7 @@ def is_switch_closed(session: Session, hand: HandInput, presence: Presence) -> b
 @jit_compile
 def find_not_ready_reason(tick: Tick) -> int:
     """Return why this side must not engage, `Reason.NONE` if it may."""
-    settings, state, has_state = tick.settings, tick.state, tick.given.has_state
+    settings, state, has_state = tick.settings, tick.state, tick.input.has_state
     if has_state and coupling.has_settings_mismatch(settings.bilateral, state.coupling):
         return Reason.COUPLING_DIFFERS
     if tick.memory.presence.is_away:

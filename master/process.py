@@ -110,7 +110,7 @@ class MasterProcess(LoopProcess):
         self._command, self._hand = Packet(Command), Packet(Hand)
         self._force = np.zeros(MAX_JOINTS)  # [N] that the gate let through
         self._stop_text = ""  # who called for the last stop
-        self._commands_every, self._index = commands_every, 0
+        self._commands_every, self._tick_index = commands_every, 0
         self._wait_ns, self._late_answers = round(ANSWER_WAIT_SHARE * grid.period_ns), 0
         self._start_ns = now_ns()
         self._published = self._outline()
@@ -136,7 +136,7 @@ class MasterProcess(LoopProcess):
 
     def tick(self, tick: Tick) -> None:
         """Read, command, wait for the answer, render; then the work that is not time-critical."""
-        fault, hand, absence = self._read((tick.stamp_ns - self._start_ns) * 1e-9)
+        fault, hand, absence = self._read_hand((tick.stamp_ns - self._start_ns) * 1e-9)
         self._link.take_latest(STATE)
         requests = self._requests.take_requests(tick.stamp_ns, int(self._stops[0]))
         if requests.stop_text or requests.settings:
@@ -149,22 +149,17 @@ class MasterProcess(LoopProcess):
         fault = self._compute_command(settings, tick, fault, requests)
         state_ns = self._states.stamp_ns  # of the state that the command has used
         sent_ns = 0
-        if self._index % self._commands_every == 0:
+        if self._tick_index % self._commands_every == 0:
             sent_ns = self._link.publish_packet(COMMAND, self._command)
             if fault is Reason.NONE and requests.stop is Reason.NONE:  # else: no force, at once
                 self._await_answer(sent_ns, monotonic_ns(tick.stamp_ns) + self._wait_ns)
-        self._index += 1
-        verdict = self._render(settings, tick, fault, requests, state_ns, hand)
+        self._tick_index += 1
+        verdict = self._render_force(settings, tick, fault, requests, state_ns, hand)
         written_ns = now_ns()
         self._verdicts[verdict] += 1
         round_trip = self._measure_round_trip(tick.stamp_ns, sent_ns, written_ns)
         self._finish_tick(tick, hand, requests, round_trip)
-        if changed:
-            publish_event(self._link, Role.MASTER, self._outline(), f"set: {changed}")
-        if hand is not None and hand.buttons != self._held_buttons:
-            self._publish_presses(hand.buttons)
-        if absence != self._absence:
-            self._publish_device_state(absence)
+        self._publish_changes(changed, hand, absence)
         outline = self._outline()
         self._meter.tick(outline, now_ns() - tick.stamp_ns, self._describe_reason(outline))
 
@@ -178,7 +173,7 @@ class MasterProcess(LoopProcess):
             outline = SessionOutline()
             publish_event(self._link, Role.MASTER, outline, f"off: {self.ended or 'ended'}")
 
-    def _read(self, time_s: float) -> tuple[Reason, HandState | None, str]:
+    def _read_hand(self, time_s: float) -> tuple[Reason, HandState | None, str]:
         """Read the device; return its fault, the hand, and why the device is absent.
 
         After the machine was suspended any device counts as lost for one tick: the hand is
@@ -269,7 +264,7 @@ class MasterProcess(LoopProcess):
 
         After `LATE_ANSWERS_MAX` that came too late only every `RETRY_TICKS` ticks.
         """
-        if self._late_answers > LATE_ANSWERS_MAX and self._index % RETRY_TICKS:
+        if self._late_answers > LATE_ANSWERS_MAX and self._tick_index % RETRY_TICKS:
             return
         while self._link.wait(STATE, deadline_ns):
             self._link.take_latest(STATE)
@@ -280,7 +275,7 @@ class MasterProcess(LoopProcess):
                 break
         self._late_answers += 1
 
-    def _render(
+    def _render_force(
         self,
         settings: StructArray,
         tick: Tick,
@@ -290,15 +285,15 @@ class MasterProcess(LoopProcess):
         hand: HandState | None,
     ) -> int:
         """Compute the force and write it to the device; return the gate's verdict."""
-        is_new = self._states.stamp_ns != state_ns
+        has_new_state = self._states.stamp_ns != state_ns
         has_failed = False
         if self._coupling_extension is not None:
             try:
                 self._coupling_extension.render(settings, self._states.is_there)
             except ExtensionFault as error:
-                fault, is_new, has_failed = self._end_on_extension_fault(error), True, True
+                fault, has_new_state, has_failed = self._end_on_extension_fault(error), True, True
         self._checkpoint.save()
-        verdict = self._compute_force(settings, tick, fault, requests, is_new)
+        verdict = self._compute_force(settings, tick, fault, requests, has_new_state)
         begin_ns = now_ns()
         try:
             self._device.write(tuple(self._force[: self._device.axes].tolist()))
@@ -309,7 +304,7 @@ class MasterProcess(LoopProcess):
             self._checkpoint.restore()
             fill_hand_input(self._hands, None)
             failed = self._end_on_device_fault(error)
-            verdict = self._compute_force(settings, tick, failed, requests, is_new=True)
+            verdict = self._compute_force(settings, tick, failed, requests, has_new_state=True)
             fill_hand_input(self._hands, hand)
             has_failed = True
         if has_failed:
@@ -317,13 +312,18 @@ class MasterProcess(LoopProcess):
         return verdict
 
     def _compute_force(
-        self, settings: StructArray, tick: Tick, fault: Reason, requests: Requests, is_new: bool
+        self,
+        settings: StructArray,
+        tick: Tick,
+        fault: Reason,
+        requests: Requests,
+        has_new_state: bool,
     ) -> int:
         """Run the second phase; return the gate's verdict.
 
         The time of a stall before it, while the answer was waited for, counts as passed.
         """
-        outputs = self._maps, is_new, self._force
+        outputs = self._maps, has_new_state, self._force
         compute = partial(self._run_phase, loop.compute_force, outputs, settings, fault, requests)
         now, dt = now_ns(), tick.dt
         waited_ns = now - tick.stamp_ns
@@ -333,8 +333,8 @@ class MasterProcess(LoopProcess):
 
     def _publish_fault(self) -> None:
         """Send a fault found after the tick's command to the slave: there may be no next tick."""
-        outline, fields = self._outline(), self._command.records
-        fields["state"], fields["reason"] = outline
+        fields = self._command.records
+        fields["state"], fields["reason"] = self._outline()
         self._link.publish_packet(COMMAND, self._command)
 
     def _measure_round_trip(self, read_ns: int, sent_ns: int, written_ns: int) -> int:
@@ -391,11 +391,9 @@ class MasterProcess(LoopProcess):
         self._link.publish(LATENCY, stages.build_message(Role.MASTER, spans))
 
     def _take_warnings(self) -> list[str]:
-        extension = (
-            [] if self._coupling_extension is None else [self._coupling_extension.calls.take()]
-        )
-        calls = [self._reads.take(), self._writes.take(), *extension]
-        return [*calls, self._describe_layout_difference()]
+        extension = self._coupling_extension
+        calls = (self._reads, self._writes, *(() if extension is None else (extension.calls,)))
+        return [*(monitor.take() for monitor in calls), self._describe_layout_difference()]
 
     def _describe_layout_difference(self) -> str:
         """Return, once, which axes of the device or joints of the rig have no counterpart."""
@@ -439,6 +437,15 @@ class MasterProcess(LoopProcess):
     def _change_setting(self, key: str, value: str) -> str:
         self._live, text = live_settings.change_setting(self._live, key, value)
         return text
+
+    def _publish_changes(self, changed: str, hand: HandState | None, absence: str) -> None:
+        """Publish settings that have `changed`, pressed buttons, and a device lost or back."""
+        if changed:
+            publish_event(self._link, Role.MASTER, self._outline(), f"set: {changed}")
+        if hand is not None and hand.buttons != self._held_buttons:
+            self._publish_presses(hand.buttons)
+        if absence != self._absence:
+            self._publish_device_state(absence)
 
     def _publish_presses(self, held: tuple[int, ...]) -> None:
         """Publish each button without a function that was not held before."""

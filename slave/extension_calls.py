@@ -150,8 +150,8 @@ class SlaveExtensions:
                     "step", lambda: self._control(controller, tick_input.dt)
                 )
             self._was_moving = moving
-            scratches["own_target"][0, : self._tendons] = target
-            scratches["has_own_target"] = True
+            scratches["extension_target"][0, : self._tendons] = target
+            scratches["has_extension_target"] = True
         verdict = loop.end_tick(*records, tick_input, commands, states, engaged)
         if sent is not None:
             states["wave"][0, :n] = sent

@@ -96,7 +96,7 @@ class SlaveRecords(NamedTuple):
         return *own, self.prepared, self.adapter
 
     @property
-    def changing(self) -> tuple[Any, ...]:
+    def restorable_arrays(self) -> tuple[Any, ...]:
         """The arrays that ticks and samples change; of the memory all before its monitors."""
         fields: Any = SlaveMemory.dtype.fields
         memory = as_bytes(self.memory)[: fields["monitors"][1]]
@@ -118,7 +118,7 @@ class Tick(NamedTuple):
     memory: SlaveMemory
     scratch: Scratch
     command: Command
-    given: TickInput
+    input: TickInput
 
 
 def build_rig_model(
@@ -247,8 +247,8 @@ def begin_tick(
     """Run `run_tick` up to the motion of the tips; return whether they shall move."""
     layout, memory = layouts[0], memories[0]
     tick = Tick(settings_records[0], layout, memory, scratches[0], commands[0], tick_input)
-    fault, tendon = _process_samples(tick, rows, sample_count)
-    _update_faults(tick, rows, sample_count, fault, tendon)
+    fault, faulty_tendon = _process_samples(tick, rows, sample_count)
+    _update_faults(tick, rows, sample_count, fault, faulty_tendon)
     _update_readiness(tick)
     degraded_mode.advance_ramp(memory.degradation, tick_input.dt)
     commanded = _copy_command(tick)
@@ -272,8 +272,9 @@ def end_tick(
     engaged: bool,
 ) -> int:
     """Run the rest of `run_tick`: motors, gate, state."""
-    memory, verdict = memories[0], gate.HELD
+    memory = memories[0]
     tick = Tick(settings_records[0], layouts[0], memory, scratches[0], commands[0], tick_input)
+    verdict = gate.HELD
     if memory.has_sample and (memory.has_gated_position or engaged):
         verdict = _command_motors(tick, engaged)
         memory.has_gated_position = True
@@ -286,21 +287,21 @@ def _process_samples(tick: Tick, rows: StructArray, sample_count: int) -> tuple[
     """Process the samples; return the newest fault Reason and its tendon."""
     settings, layout, memory = tick.settings, tick.layout, tick.memory
     fault: int = Reason.NONE
-    tendon = -1
-    initial_position.increase_age(memory.initial_position, tick.given.dt)
+    faulty_tendon = -1
+    initial_position.increase_age(memory.initial_position, tick.input.dt)
     for i in range(sample_count):
         row = rows[i]
-        reason, faulty_tendon = fault_detection.step(
+        reason, tendon = fault_detection.step(
             settings.fault_detection, layout, memory.detector, row.tendons, row.elapsed
         )
         if reason != Reason.NONE:
-            fault, tendon = reason, faulty_tendon
+            fault, faulty_tendon = reason, tendon
         track_initial_position(layout, memory, tick.scratch, row)
         if settings.is_actuated and memory.has_gated_position:
             fault_detection.record_motor_readings(
                 memory.motors, layout, row.tendons, memory.gated_position
             )
-    return fault, tendon
+    return fault, faulty_tendon
 
 
 @jit_compile
@@ -317,12 +318,12 @@ def track_initial_position(
 
 @jit_compile
 def _update_faults(
-    tick: Tick, rows: StructArray, sample_count: int, fault: int, tendon: int
+    tick: Tick, rows: StructArray, sample_count: int, fault: int, faulty_tendon: int
 ) -> None:
     """Update the fault conditions: motors, missing samples, tension over its limit."""
-    settings, layout, memory, dt = tick.settings, tick.layout, tick.memory, tick.given.dt
+    settings, layout, memory, dt = tick.settings, tick.layout, tick.memory, tick.input.dt
     if settings.is_actuated:
-        motor_fault, motor = fault_detection.check_motors(
+        motor_fault, faulty_motor = fault_detection.check_motors(
             settings.fault_detection,
             memory.motors,
             layout,
@@ -332,20 +333,20 @@ def _update_faults(
             dt,
         )
         if fault == Reason.NONE:
-            fault, tendon = motor_fault, motor
+            fault, faulty_tendon = motor_fault, faulty_motor
     if sample_count > 0:
-        memory.detected_fault, memory.faulty_tendon = fault, tendon
-    is_usable = False
+        memory.detected_fault, memory.faulty_tendon = fault, faulty_tendon
+    has_valid_sample = False
     for i in range(sample_count):
-        is_usable = is_usable or _is_usable(layout, rows[i].tendons)
-    has_new_sample = is_usable and not memory.motors.repeated
-    memory.sample_age = 0.0 if has_new_sample else memory.sample_age + dt
+        has_valid_sample = has_valid_sample or _are_all_valid(layout, rows[i].tendons)
+    is_renewed = has_valid_sample and not memory.motors.repeated
+    memory.sample_age = 0.0 if is_renewed else memory.sample_age + dt
     is_overloaded = state_machine.may_move(memory.session) and _is_overloaded(tick)
     memory.overload = memory.overload + dt if is_overloaded else 0.0
 
 
 @jit_compile
-def _is_usable(layout: RigLayout, tendons: Sequence[EstimatedTendon]) -> bool:
+def _are_all_valid(layout: RigLayout, tendons: Sequence[EstimatedTendon]) -> bool:
     """Return whether the estimators accepted the sample of every tendon."""
     for i in range(layout.tendons):  # noqa: SIM110 - compiled
         if not tendons[i].valid:
@@ -374,7 +375,7 @@ def _update_readiness(tick: Tick) -> None:
     """
     memory, scratch = tick.memory, tick.scratch
     is_measured = initial_position.is_known(memory.initial_position, tick.settings.sample_timeout)
-    if memory.has_gated_position and (tick.given.motors_follow or not is_measured):
+    if memory.has_gated_position and (tick.input.motors_follow or not is_measured):
         copy_values(memory.gated_position[:], scratch.motor_position[:])
     elif is_measured:
         copy_values(memory.initial_position.position[:], scratch.motor_position[:])
@@ -390,10 +391,10 @@ def _update_readiness(tick: Tick) -> None:
 @jit_compile
 def _copy_command(tick: Tick) -> bool:
     """Copy the commanded joint motion; return whether motion is commanded."""
-    scratch, command, given = tick.scratch, tick.command, tick.given
+    scratch, command, tick_input = tick.scratch, tick.command, tick.input
     scratch.requested[:] = 0.0
     scratch.tip_velocity[:] = 0.0
-    is_commanded = given.has_command and given.fresh and command.state == State.ENGAGED
+    is_commanded = tick_input.has_command and tick_input.fresh and command.state == State.ENGAGED
     if is_commanded:
         for k in range(tick.layout.joints):
             scratch.requested[k] = command.position[k]
@@ -404,33 +405,29 @@ def _copy_command(tick: Tick) -> bool:
 @jit_compile
 def _advance_session(tick: Tick) -> None:
     """Advance the session by one tick, from the master's state and the faults of this side."""
-    memory, command, given = tick.memory, tick.command, tick.given
-    master_state: int = State.OFF
-    if given.has_command:
-        master_state = state_machine.to_known_state(command.state)
-    fault = given.fault
-    if fault == Reason.NONE:
-        fault = _find_local_fault(tick)
-    has_mismatch = given.has_command and coupling.has_settings_mismatch(
-        tick.settings.bilateral, command.coupling
-    )
+    memory, command, tick_input = tick.memory, tick.command, tick.input
     inputs = tick.scratch.inputs
+    inputs.peer_fresh = tick_input.fresh
+    inputs.peer_state = State.OFF
+    inputs.peer = 0
+    inputs.not_ready_reason = Reason.NONE
+    if tick_input.has_command:
+        inputs.peer_state = state_machine.to_known_state(command.state)
+        inputs.peer = command.sender
+        if coupling.has_settings_mismatch(tick.settings.bilateral, command.coupling):
+            inputs.not_ready_reason = Reason.COUPLING_DIFFERS
+    inputs.engage = state_machine.is_switch_closed(inputs.peer_state)
+    inputs.clutch = inputs.peer_state == State.CLUTCHED
     inputs.usable = memory.readiness == USABLE
-    inputs.peer_fresh = given.fresh
-    inputs.peer_state = master_state
-    inputs.engage = state_machine.is_switch_closed(master_state)
-    inputs.fault = fault
-    inputs.clutch = master_state == State.CLUTCHED
-    inputs.stop = given.stop
-    inputs.reset = given.reset
-    inputs.link, inputs.link_holds = given.link, given.link_holds
-    inputs.not_ready_reason = Reason.COUPLING_DIFFERS if has_mismatch else Reason.NONE
+    inputs.fault = tick_input.fault
+    if tick_input.fault == Reason.NONE:
+        inputs.fault = _find_local_fault(tick)
+    inputs.stop = tick_input.stop
+    inputs.reset = tick_input.reset
+    inputs.link, inputs.link_holds = tick_input.link, tick_input.link_holds
     is_degraded = memory.degradation.ramp > 0.0
     inputs.degraded = Reason.CALIBRATION_DUE if is_degraded else Reason.NONE
-    inputs.peer = 0
-    if given.has_command:
-        inputs.peer = command.sender
-    state_machine.step(memory.session, inputs, given.dt)
+    state_machine.step(memory.session, inputs, tick_input.dt)
 
 
 @jit_compile
@@ -456,7 +453,7 @@ def _find_local_fault(tick: Tick) -> int:
 @jit_compile
 def _apply_coupling(tick: Tick, commanded: bool, engaged: bool) -> None:
     """Replace the commanded tip motion in `scratch` by what the bilateral coupling makes of it."""
-    if not tick.given.has_command:
+    if not tick.input.has_command:
         return
     settings, layout, memory = tick.settings, tick.layout, tick.memory
     scratch, command = tick.scratch, tick.command
@@ -464,14 +461,7 @@ def _apply_coupling(tick: Tick, commanded: bool, engaged: bool) -> None:
     wave: Any = command.wave
     coupling.receive_totals(memory.coupling, command.sender, energy, wave)
     if engaged:
-        compute_rendered_forces(
-            settings.bilateral,
-            memory.joints,
-            layout.joints,
-            command.force_max,
-            scratch.force,
-            degraded_mode.compute_force_reduction(settings.monitor, memory.degradation),
-        )
+        _compute_port_forces(settings, layout, memory, command, scratch.force)
     coupling.compute_tip_motion(
         settings.bilateral,
         memory.coupling,
@@ -480,7 +470,7 @@ def _apply_coupling(tick: Tick, commanded: bool, engaged: bool) -> None:
         scratch.force,
         layout.joints if commanded else 0,
         engaged,
-        tick.given.dt,
+        tick.input.dt,
         degraded_mode.compute_speed_max(settings.monitor, memory.degradation),
     )
 
@@ -501,16 +491,18 @@ def compute_port_forces(
     commands: StructArray,
 ) -> None:
     """Write the forces of the newest sample at the slave's port to `scratch.force`."""
-    layout, memory, scratch = layouts[0], memories[0], scratches[0]
-    settings = settings_records[0]
+    settings, layout, memory = settings_records[0], layouts[0], memories[0]
     _estimate_joints(layout, memory)
+    _compute_port_forces(settings, layout, memory, commands[0], scratches[0].force)
+
+
+@jit_compile
+def _compute_port_forces(
+    settings: SlaveSettings, layout: RigLayout, memory: SlaveMemory, command: Command, out: Array
+) -> None:
+    reduction = degraded_mode.compute_force_reduction(settings.monitor, memory.degradation)
     compute_rendered_forces(
-        settings.bilateral,
-        memory.joints,
-        layout.joints,
-        commands[0].force_max,
-        scratch.force,
-        degraded_mode.compute_force_reduction(settings.monitor, memory.degradation),
+        settings.bilateral, memory.joints, layout.joints, command.force_max, out, reduction
     )
 
 
@@ -554,7 +546,7 @@ def compute_rendered_forces(
 def _command_motors(tick: Tick, engaged: bool) -> int:
     """Compute the motor targets and apply the gate; hold unless `engaged`, or probing."""
     settings, layout, memory, scratch = tick.settings, tick.layout, tick.memory, tick.scratch
-    moving = engaged and tick.given.motors_follow
+    moving = engaged and tick.input.motors_follow
     _compute_motor_targets(tick, moving)
     if settings.probing.enabled:
         is_probing = _probe_sheaths(tick)
@@ -570,7 +562,7 @@ def _command_motors(tick: Tick, engaged: bool) -> int:
         scratch.tension,
         memory.sample_age,
         moving,
-        tick.given.dt,
+        tick.input.dt,
         memory.reach,
         moving,
         state_machine.may_yield(memory.session),
@@ -580,10 +572,10 @@ def _command_motors(tick: Tick, engaged: bool) -> int:
 
 @jit_compile
 def _compute_motor_targets(tick: Tick, moving: bool) -> None:
-    """Write the targets [m] of the controller, or of one of a package of one's own."""
+    """Write the targets [m] of the controller, or of that of an extension."""
     memory, scratch = tick.memory, tick.scratch
-    if scratch.has_own_target:
-        copy_values(scratch.own_target[:], scratch.motor_target[:])
+    if scratch.has_extension_target:
+        copy_values(scratch.extension_target[:], scratch.motor_target[:])
         return
     control.step(
         tick.settings.control,
@@ -594,7 +586,7 @@ def _compute_motor_targets(tick: Tick, moving: bool) -> None:
         scratch.motor_position,
         memory.tendons,
         moving,
-        tick.given.dt,
+        tick.input.dt,
         scratch.motor_target,
     )
 
@@ -603,9 +595,9 @@ def _compute_motor_targets(tick: Tick, moving: bool) -> None:
 def _probe_sheaths(tick: Tick) -> bool:
     """Replace the target of a tendon that is probed; return whether there is one."""
     settings, layout, memory, scratch = tick.settings, tick.layout, tick.memory, tick.scratch
-    dt = tick.given.dt
+    dt = tick.input.dt
     probing.track_pulls(settings.probed, layout, memory.probe, memory.tendons, dt)
-    may_probe = state_machine.may_probe(memory.session) and tick.given.motors_follow
+    may_probe = state_machine.may_probe(memory.session) and tick.input.motors_follow
     return probing.step(
         settings.probing,
         settings.probed,
@@ -614,7 +606,7 @@ def _probe_sheaths(tick: Tick) -> bool:
         memory.tendons,
         scratch.requested,
         scratch.motor_position,
-        may_probe and not scratch.has_own_target,
+        may_probe and not scratch.has_extension_target,
         dt,
         scratch.motor_target,
     )
@@ -638,7 +630,7 @@ def _fill_state(tick: Tick, out: SlaveState) -> None:
     state.answer_ns = 0  # filled in by the sender
     state.state, state.reason = memory.session.state, memory.session.reason
     state.stops = memory.session.stops
-    state.echo_stamp_ns = tick.command.stamp_ns if tick.given.has_command else 0
+    state.echo_stamp_ns = tick.command.stamp_ns if tick.input.has_command else 0
     state.coupling = settings.bilateral.signature
     state.probing = memory.probe.tendon + 1
     state.force_reduction = degraded_mode.compute_force_reduction(
@@ -676,14 +668,14 @@ def monitor_calibration(
         probing.transfer_probe_result(
             settings.monitor, settings.probed, memory.probe, memory.monitors
         )
-    mode, decided = memory.degradation, np.zeros(MAX_TENDONS, np.bool_)
+    degradation, decided = memory.degradation, np.zeros(MAX_TENDONS, np.bool_)
     if adapter is not None:
-        mute_monitors(adapter, layout, prepared, memory.monitors, mode.active, decided)
-    for s in range(sample_count):
+        mute_monitors(adapter, layout, prepared, memory.monitors, degradation.active, decided)
+    for i in range(sample_count):
         memory.advice = monitor.step_rig(
-            settings.monitor, layout, constants, memory.monitors, rows[s].tendons, rows[s].elapsed
+            settings.monitor, layout, constants, memory.monitors, rows[i].tendons, rows[i].elapsed
         )
     if settings.degrades:
         degraded_mode.update_degradation(
-            settings.monitor, mode, memory.monitors, memory.advice, decided[: layout.tendons]
+            settings.monitor, degradation, memory.monitors, memory.advice, decided[: layout.tendons]
         )

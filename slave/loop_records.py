@@ -89,7 +89,7 @@ class SlaveMemory(Struct):
     degradation: Degradation
     probe: Probe
     readiness: I64 = NO_SAMPLE
-    # last, as no tick changes them (`SlaveRecords.changing`)
+    # last, as no tick changes them (`SlaveRecords.restorable_arrays`)
     monitors: Annotated[Sequence[monitor.TendonMonitor], Field(monitor.TendonMonitor, MAX_TENDONS)]
 
 
@@ -104,8 +104,8 @@ class Scratch(Struct):
     tension: Annotated[Array, Field("f8", MAX_TENDONS)]  # [N] used for the limits
     motor_position: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] present motor positions
     motor_target: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] motor targets
-    has_own_target: Flag = False  # whether a controller of another package gives the targets
-    own_target: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m]
+    has_extension_target: Flag = False  # whether the controller of an extension gives the targets
+    extension_target: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m]
 
 
 class TickInput(NamedTuple):

@@ -18,6 +18,7 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple, cast
 
+from estimator.array_types import Array
 from estimator.structs import view_struct
 from slave import live_settings, loop, model_files
 from slave.adaptation import describe_fixed
@@ -111,17 +112,16 @@ class SlaveProcess(LoopProcess):
             )
         self.memory: SlaveMemory = view_struct(self._slave.memory)
         extensions = SlaveExtensions(config, bilateral.coupling, model, self._slave)
-        # None without any: each call would cost time
-        self._extensions = extensions if extensions.opened else None
+        self._extensions = extensions if extensions.opened else None  # each call costs time
         joints = len(model.joints)
         super().__init__(link, clock.stats, self._slave.memory, joints, requests, health)
         self._gated_position = self._slave.memory["gated_position"][0]  # [m]
         self._has_gated_position = self._slave.memory["has_gated_position"]
         self._estimate_arguments = self._slave.estimate_arguments
-        own = partial(loop.run_tick, *self._slave.tick_arguments)
-        self._run_tick = own if self._extensions is None else self._extensions.run_tick
+        run_tick = partial(loop.run_tick, *self._slave.tick_arguments)
+        self._run_tick = run_tick if self._extensions is None else self._extensions.run_tick
         self._monitor_arguments = self._slave.monitor_arguments
-        self._checkpoint = Checkpoint(*self._slave.changing)
+        self._checkpoint = Checkpoint(*self._slave.restorable_arrays)
         self._rows = EstimatedSample.array(ROWS_INITIAL)
         self._sample_count = 0
         # the rig's next sample; its estimate is in the memory, but not in the checkpoint
@@ -139,29 +139,17 @@ class SlaveProcess(LoopProcess):
     def tick(self, tick: Tick) -> None:
         """Answer the newest command; then the work that is not time-critical."""
         time_s = (tick.stamp_ns - self._start_ns) * 1e-9
-        fault = self._read(time_s)
+        fault = self._read_samples(time_s)
         commands = self._link.take_latest(COMMAND)
         now = now_ns()
         requests = self._requests.take_requests(now, int(self._stops[0]))
         if requests.stop_text and self._outline().state is not State.STOPPED:
             self._telemetry.stop_text = requests.stop_text  # of the first caller
-        if self._extensions is not None:
-            self._extensions.start_tick()
-        step = partial(self._step, fault, requests)
-        try:
-            verdict = self._checkpoint.run_step(step, now, tick.dt)
-            if fault is Reason.NONE:
-                self._move_rig()
-        except (RigFault, ExtensionFault) as error:
-            # nothing has moved: step again with the fault, which the state then tells the master
-            self._checkpoint.restore()
-            verdict = self._step(self._end_on_fault(error), requests, now_ns(), tick.dt)
+        self._verdicts[self._step_and_move(fault, requests, now, tick.dt)] += 1
         if commands.new:
             self._answer_ns[0] = now_ns() - commands.received_ns
         self._link.publish_packet(STATE, self._state)
-        published_ns = now_ns()
-        self._verdicts[verdict] += 1
-        self._meter.answer.add(published_ns - tick.stamp_ns)
+        self._meter.answer.add(now_ns() - tick.stamp_ns)
         rig_ns = self._finish_tick(tick, time_s, requests)
         work_ns = now_ns() - tick.stamp_ns
         self._meter.without_rig.add(work_ns - rig_ns)
@@ -186,6 +174,21 @@ class SlaveProcess(LoopProcess):
         rig = RigSummary(force_error, self._rig.summarise(), self._telemetry.describe_friction())
         return replace(super().summarise(), rig=rig)
 
+    def _step_and_move(self, fault: Reason, requests: Requests, now: int, dt: float) -> int:
+        """Step the slave, move the rig unless it has a fault; return the gate's verdict."""
+        if self._extensions is not None:
+            self._extensions.start_tick()
+        step = partial(self._step_slave, fault, requests)
+        try:
+            verdict = self._checkpoint.run_step(step, now, dt)
+            if fault is Reason.NONE:
+                self._move_rig()
+        except (RigFault, ExtensionFault) as error:
+            # nothing has moved: step again with the fault, which the state then tells the master
+            self._checkpoint.restore()
+            return self._step_slave(self._end_on_fault(error), requests, now_ns(), dt)
+        return verdict
+
     def _move_rig(self) -> None:
         """Write the gated positions, if any; an emergency stop uses the motors' own means.
 
@@ -204,7 +207,7 @@ class SlaveProcess(LoopProcess):
             self._emergency_stop()
             self._is_rig_stopped = True
 
-    def _step(self, fault: Reason, requests: Requests, now: int, dt: float) -> int:
+    def _step_slave(self, fault: Reason, requests: Requests, now: int, dt: float) -> int:
         """Step the slave with the inputs known at the stamp `now`; return the gate's verdict."""
         commands = self._commands
         tick_input = TickInput(
@@ -219,9 +222,8 @@ class SlaveProcess(LoopProcess):
             self._motors_follow,
         )
         rows, sample_count = self._rows, self._sample_count
-        extensions = self._extensions
-        if extensions is not None and extensions.estimates is not None:
-            estimate(*self._estimate_arguments, rows, sample_count, extensions.estimates)
+        if (extension_estimates := self._get_extension_estimates()) is not None:
+            estimate(*self._estimate_arguments, rows, sample_count, extension_estimates)
         elif not self._is_estimated:
             estimate(*self._estimate_arguments, rows, sample_count)
         self._is_estimated = False
@@ -229,7 +231,7 @@ class SlaveProcess(LoopProcess):
             rows, sample_count, tick_input, commands.packet.records, self._state.records
         )
 
-    def _read(self, time_s: float) -> Reason:
+    def _read_samples(self, time_s: float) -> Reason:
         """Read the rig's new samples into the rows; return a fault of the rig."""
         expected, self._next_sample, self._sample_count = self._next_sample, None, 0
         samples: tuple[RigSample, ...] = ()
@@ -291,10 +293,12 @@ class SlaveProcess(LoopProcess):
         self._telemetry.publish(time_s)
         self._watch_link(tick.stamp_ns, self._commands, int(self._echo_ns[0]), 0)
         self._report(tick.stamp_ns, self._commands)
-        has_own_estimator = self._extensions is not None and self._extensions.estimates is not None
-        if next_sample is not None and not has_own_estimator:
+        if next_sample is not None and self._get_extension_estimates() is None:
             self._estimate_ahead(next_sample)
         return rig_ns
+
+    def _get_extension_estimates(self) -> Array | None:
+        return None if self._extensions is None else self._extensions.estimates
 
     def _take_warnings(self) -> list[str]:
         opened = () if self._extensions is None else self._extensions.opened
@@ -312,7 +316,7 @@ class SlaveProcess(LoopProcess):
             return self._rig.advance()
         except RigFault as error:  # published at once, as there is no next tick
             self._sample_count = 0
-            self._step(self._end_on_fault(error), Requests(), now_ns(), 0.0)
+            self._step_slave(self._end_on_fault(error), Requests(), now_ns(), 0.0)
             self._link.publish_packet(STATE, self._state)
             return None
 

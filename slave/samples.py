@@ -16,7 +16,7 @@ from slave.adaptation import TendonAdapter, adapt_tendons
 from slave.arm_estimate import ArmEstimator, estimate_arm_forces
 from slave.loop_records import EstimatedSample, SlaveMemory
 from slave.rig import RigSample
-from slave.rig_layout import RigLayout
+from slave.rig_layout import EstimatedTendon, RigLayout
 from teleop.messages.messages import MAX_TENDONS
 
 
@@ -74,14 +74,14 @@ def estimate(
     adapter: TendonAdapter | None,
     rows: StructArray,
     sample_count: int,
-    own: Array | None = None,
+    extension_estimates: Array | None = None,
 ) -> None:
     """Step each tendon's estimator with the first `sample_count` rows; fill in their estimates.
 
     `with_dynamics` is None where no model has dynamic effects; see `online.advance`. `arm` is None
-    where no joints share tendons, `adapter` where K stays as calibrated. `own`, shape
-    (sample_count, 4, tendons), has tension at the tip, its interval [N] and elongation [m] by an
-    estimator of another package; NaN where it has none.
+    where no joints share tendons, `adapter` where K stays as calibrated.
+    `extension_estimates`, shape (sample_count, 4, tendons), are tension at the tip, its interval
+    [N] and elongation [m] by the estimator of an extension; NaN where it has none.
     """
     layout, memory = layouts[0], memories[0]
     for s in range(sample_count):
@@ -100,15 +100,8 @@ def estimate(
                 tendon.estimate,
                 with_dynamics,
             )
-            if own is not None and math.isfinite(own[s, 0, i]):
-                taken = tendon.estimate
-                taken.distal_tension, taken.low, taken.high = (
-                    own[s, 0, i],
-                    own[s, 1, i],
-                    own[s, 2, i],
-                )
-                taken.elongation = own[s, 3, i]
-                taken.distal_displacement = tendon.corrected_displacement - taken.elongation
+            if extension_estimates is not None and math.isfinite(extension_estimates[s, 0, i]):
+                _replace_estimate(tendon, extension_estimates[s, :, i])
         if adapter is not None:
             adapt_tendons(
                 adapter,
@@ -134,6 +127,15 @@ def estimate(
                 memory.joints,
                 memory.arm_force,
             )
+
+
+@jit_compile
+def _replace_estimate(tendon: EstimatedTendon, values: Array) -> None:
+    """Replace the tension at the tip, its interval [N] and the elongation [m] by `values`."""
+    tip = tendon.estimate
+    tip.distal_tension, tip.low, tip.high = values[0], values[1], values[2]
+    tip.elongation = values[3]
+    tip.distal_displacement = tendon.corrected_displacement - tip.elongation
 
 
 @jit_compile

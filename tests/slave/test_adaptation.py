@@ -83,7 +83,7 @@ def test_tendons_of_a_pair_adapt_together_and_a_single_one_by_itself():
 def test_what_a_tick_has_adapted_is_undone_with_it():
     slave, rows = started(), pulls(2.0, 3.0)
     run(slave, pulls(0.0, 2.0))
-    checkpoint = Checkpoint(*slave.changing)
+    checkpoint = Checkpoint(*slave.restorable_arrays)
     before = snapshot(slave)
     run(slave, clone(rows))
     once = snapshot(slave)
