@@ -7,7 +7,7 @@ from types import MappingProxyType
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.diagnosis import outcome, rivals
+from estimator.diagnosis import cause_selection, outcome
 from estimator.diagnosis.baseline import (
     choose_law,
     compute_simple_gains,
@@ -16,12 +16,12 @@ from estimator.diagnosis.baseline import (
     select_applicable_effects,
 )
 from estimator.diagnosis.bench_units import compute_bench_scale, to_bench_units, to_record_units
+from estimator.diagnosis.cause_selection import CauseError, rank_candidates
 from estimator.diagnosis.causes import (
     FINAL_ROUNDS,
     RESTART_PROGRESS,
     CauseSearch,
     find_causes,
-    rank_candidates,
 )
 from estimator.diagnosis.curve import estimate_curve
 from estimator.diagnosis.dataset import (
@@ -60,7 +60,6 @@ from estimator.diagnosis.record import (
     prepare_record,
 )
 from estimator.diagnosis.residual_structure import find_residual_dependence
-from estimator.diagnosis.rivals import CauseError
 from estimator.diagnosis.scoring import (
     Choice,
     bootstrap_gain,
@@ -378,7 +377,7 @@ def diagnose_records(
         functions = (*first_ranking, *steps[0].ranking)
         first_ranking = tuple(sorted(functions, key=lambda candidate: -candidate.score))
     if cause:
-        steps, fit = rivals.choose_equivalent_cause(dataset, base_fit, steps, fit, cause)
+        steps, fit = cause_selection.choose_equivalent_cause(dataset, base_fit, steps, fit, cause)
     outcome = _build_diagnosis(dataset, base_fit, fit, steps, first_ranking, applicable, validate)
     if leave_one_file_out:
         report("leaving one file out", 1.0)
@@ -489,8 +488,8 @@ def _build_diagnosis(
         experiments=outcome.suggest_experiments(equivalents, dataset.records[0].signals),
         issues=tuple(issue for record in dataset.records for issue in record.issues),
         fit_all=all(record.train.all() for record in dataset.records),
-        rivals=rivals.fit_rivals(
-            dataset, base_fit, final_fit, rivals.find_equivalent_causes(steps)
+        rivals=cause_selection.fit_rivals(
+            dataset, base_fit, final_fit, cause_selection.find_equivalent_causes(steps)
         ),
         validation=predicted_records,
         live_error=compute_live_error(folds, float(max(r.time[-1] for r in dataset.records)))

@@ -1,4 +1,4 @@
-"""Causes that explain the data as well as the one named: search, models, and a choice."""
+"""Which candidate is the next cause, and the rivals that explain the data as well."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -12,10 +12,12 @@ from estimator.diagnosis.dataset import (
     use_all_samples,
 )
 from estimator.diagnosis.fit import fit_model
-from estimator.diagnosis.outcome import CauseStep, Rival
+from estimator.diagnosis.outcome import CauseStep, RankedCandidate, Rival
 from estimator.diagnosis.scoring import (
     ChannelErrors,
     bootstrap_superiority,
+    compute_errors,
+    compute_likelihood_gain,
     compute_residual_fraction,
 )
 from estimator.diagnosis.screening import Candidate, score_candidate
@@ -35,6 +37,77 @@ class EquivalentCause(NamedTuple):
     replaces: str  # name of that cause
     effect: Effect
     values: Values
+
+
+def find_next_cause(
+    dataset: Dataset, base_fit: Fit, current_fit: Fit, candidates: list[Candidate]
+) -> CauseStep | None:
+    """Return the cause that explains most, with its rivals; None if no cause is significant.
+
+    Rivals are other effects that the data do not distinguish from it.
+    """
+    current_errors = compute_errors(dataset, current_fit)
+    base_errors = compute_errors(dataset, base_fit)
+    ranked = sorted(
+        candidates, key=lambda candidate: -score_candidate(dataset, current_errors, candidate)
+    )
+    if not ranked:
+        return None
+    best = select_simplest_cause(dataset, base_fit, current_errors, ranked)
+    best_score = score_candidate(dataset, current_errors, best)
+    if (
+        best_score < SETTINGS.score_min
+        or compute_likelihood_gain(best.held_out, current_errors) < SETTINGS.gain_min
+        or bootstrap_superiority(best.held_out, current_errors) < SETTINGS.confidence
+    ):
+        return None
+    rivals = find_rivals(dataset, base_errors, current_errors, best, ranked)
+    ranking = rank_candidates(dataset, base_fit, current_fit, candidates)
+    return CauseStep(best.effect, rivals, ranking, best.fit)
+
+
+def select_simplest_cause(
+    dataset: Dataset,
+    base_fit: Fit,
+    current_errors: dict[str, ChannelErrors],
+    ranked: list[Candidate],
+) -> Candidate:
+    """Return the candidate with the fewest parameters among those as good as the best.
+
+    An effect with more parameters can imitate another one: an antagonist with hardly any friction
+    is joint friction.
+    """
+    best, base_errors = ranked[0], compute_errors(dataset, base_fit)
+    fraction_max = (
+        compute_residual_fraction(best.held_out, base_errors) + SETTINGS.equivalent_fraction_max
+    )
+    score_min = score_candidate(dataset, current_errors, best) - SETTINGS.equivalent_score_max
+    equivalents = [
+        candidate
+        for candidate in ranked
+        if score_candidate(dataset, current_errors, candidate) > score_min
+        and compute_residual_fraction(candidate.held_out, base_errors) < fraction_max
+    ]
+    return min(equivalents, key=lambda candidate: candidate.effect.degrees)
+
+
+def rank_candidates(
+    dataset: Dataset, base_fit: Fit, current_fit: Fit, candidates: list[Candidate]
+) -> tuple[RankedCandidate, ...]:
+    """Return the candidates of a search on top of `current_fit`, the most probable first."""
+    current_errors = compute_errors(dataset, current_fit)
+    base_errors = compute_errors(dataset, base_fit)
+    ranked = [
+        RankedCandidate(
+            candidate.effect,
+            score_candidate(dataset, current_errors, candidate),
+            {channel: errors.rmse for channel, errors in candidate.held_out.items()},
+            compute_residual_fraction(candidate.held_out, base_errors),
+            candidate.fit.model.effects[-1][1],
+        )
+        for candidate in candidates
+    ]
+    return tuple(sorted(ranked, key=lambda candidate: -candidate.score))
 
 
 def find_rivals(

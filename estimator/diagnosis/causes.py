@@ -3,9 +3,8 @@
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-import numpy as np
-
 from estimator.diagnosis.baseline import choose_loads, select_applicable_effects
+from estimator.diagnosis.cause_selection import find_next_cause, rank_candidates
 from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
@@ -19,20 +18,18 @@ from estimator.diagnosis.fit import fit_model, refit_baseline
 from estimator.diagnosis.function_search import fit_functions
 from estimator.diagnosis.hidden_motion import may_hide_motion, recover_motion_beside_effects
 from estimator.diagnosis.intervals import estimate_intervals, is_significant
-from estimator.diagnosis.outcome import CauseStep, RankedCandidate
+from estimator.diagnosis.outcome import CauseStep
 from estimator.diagnosis.record import hold_out_aperiodically, shorten_blocks
-from estimator.diagnosis.rivals import find_rivals
 from estimator.diagnosis.scoring import (
     ChannelErrors,
     Choice,
-    are_not_tendon_data,
-    bootstrap_superiority,
     compute_bic_penalty,
     compute_errors,
-    compute_likelihood_gain,
     compute_log_likelihood_ratio,
     compute_missed_share,
     compute_residual_fraction,
+    has_localised_misfit,
+    is_foreign_data,
     is_noise,
     is_within_tolerance,
 )
@@ -57,79 +54,6 @@ RESTART_ROUNDS = (0.0, 0.5), (0.5, 1.0)  # shares of that search in which furthe
 SAME_COST_TOLERANCE = 0.01  # relative: effects whose costs differ by less do the same
 RESIDUAL_FRACTION_MAX = 0.5  # share of the error beyond noise that hidden motion may leave
 FUNCTION_SEARCHES = 1  # that further causes leave time for: a function says more
-
-# --- the next cause, and its rivals
-
-
-def find_next_cause(
-    dataset: Dataset, base_fit: Fit, current_fit: Fit, candidates: list[Candidate]
-) -> CauseStep | None:
-    """Return the cause that explains most, with its rivals; None if no cause is significant.
-
-    Rivals are other effects that the data do not distinguish from it.
-    """
-    current_errors, base_errors = (compute_errors(dataset, fit) for fit in (current_fit, base_fit))
-    ranked = sorted(
-        candidates, key=lambda candidate: -score_candidate(dataset, current_errors, candidate)
-    )
-    if not ranked:
-        return None
-    best = select_simplest_cause(dataset, base_fit, current_errors, ranked)
-    best_score = score_candidate(dataset, current_errors, best)
-    if (
-        best_score < SETTINGS.score_min
-        or compute_likelihood_gain(best.held_out, current_errors) < SETTINGS.gain_min
-        or bootstrap_superiority(best.held_out, current_errors) < SETTINGS.confidence
-    ):
-        return None
-    rivals = find_rivals(dataset, base_errors, current_errors, best, ranked)
-    ranking = rank_candidates(dataset, base_fit, current_fit, candidates)
-    return CauseStep(best.effect, rivals, ranking, best.fit)
-
-
-def select_simplest_cause(
-    dataset: Dataset,
-    base_fit: Fit,
-    current_errors: dict[str, ChannelErrors],
-    ranked: list[Candidate],
-) -> Candidate:
-    """Return the candidate with the fewest parameters among those as good as the best.
-
-    An effect with more parameters can imitate another one: an antagonist with hardly any friction
-    is joint friction.
-    """
-    best, base_errors = ranked[0], compute_errors(dataset, base_fit)
-    fraction_max = (
-        compute_residual_fraction(best.held_out, base_errors) + SETTINGS.equivalent_fraction_max
-    )
-    score_min = score_candidate(dataset, current_errors, best) - SETTINGS.equivalent_score_max
-    equivalents = [
-        candidate
-        for candidate in ranked
-        if score_candidate(dataset, current_errors, candidate) > score_min
-        and compute_residual_fraction(candidate.held_out, base_errors) < fraction_max
-    ]
-    return min(equivalents, key=lambda candidate: candidate.effect.degrees)
-
-
-def rank_candidates(
-    dataset: Dataset, base_fit: Fit, current_fit: Fit, candidates: list[Candidate]
-) -> tuple[RankedCandidate, ...]:
-    """Return the candidates of a search on top of `current_fit`, the most probable first."""
-    current_errors = compute_errors(dataset, current_fit)
-    base_errors = compute_errors(dataset, base_fit)
-    ranked = [
-        RankedCandidate(
-            candidate.effect,
-            score_candidate(dataset, current_errors, candidate),
-            {channel: errors.rmse for channel, errors in candidate.held_out.items()},
-            compute_residual_fraction(candidate.held_out, base_errors),
-            candidate.fit.model.effects[-1][1],
-        )
-        for candidate in candidates
-    ]
-    return tuple(sorted(ranked, key=lambda candidate: -candidate.score))
-
 
 # --- causes that later causes make redundant, or whose size may be zero
 
@@ -219,6 +143,16 @@ class CauseSearchResult(NamedTuple):
     first_candidates: list[Candidate]  # of the first search
     steps: list[CauseStep]
     fit: Fit  # of the base law with the causes
+
+    @property
+    def errors(self) -> dict[str, ChannelErrors]:
+        """Held-out errors of the base law with the causes."""
+        return compute_errors(self.dataset, self.fit)
+
+    @property
+    def base_errors(self) -> dict[str, ChannelErrors]:
+        """Held-out errors of the base law."""
+        return compute_errors(self.dataset, self.base_fit)
 
     def add_step(self, step: CauseStep) -> "CauseSearchResult":
         """Return the result with one cause more."""
@@ -335,12 +269,10 @@ def _recover_motion_beside_cause(result: CauseSearchResult) -> tuple[Dataset, Fi
         robust_model,
         FINAL_ROUNDS,
     )
-    if (
-        compute_residual_fraction(
-            compute_errors(moved_dataset, refit), compute_errors(dataset, fit)
-        )
-        > RESIDUAL_FRACTION_MAX
-    ):
+    fraction = compute_residual_fraction(
+        compute_errors(moved_dataset, refit), compute_errors(dataset, fit)
+    )
+    if fraction > RESIDUAL_FRACTION_MAX:
         return None
     return rescale_residuals(moved_dataset, base_fit), base_fit
 
@@ -362,8 +294,7 @@ def _find_causes_stepwise(
             break
         candidates = _fit_next_candidates(result, search.report_between(begin, end))
         with_candidates = result._replace(first_candidates=result.first_candidates or candidates)
-        base_errors = compute_errors(dataset, result.base_fit)
-        if are_not_tendon_data(dataset, (base_errors, *_get_errors(candidates))):
+        if is_foreign_data(dataset, (result.base_errors, *_get_errors(candidates))):
             result = with_candidates
             break
         step = find_next_cause(dataset, result.base_fit, result.fit, candidates)
@@ -408,13 +339,14 @@ def _find_cause_pair(
     of another's. It must fit far better than any other, as this is the only evidence for it yet.
     """
     dataset, base_fit = result.dataset, result.base_fit
-    by_cost = sorted(candidates, key=lambda candidate: candidate.cost)
-    other_costs = [
-        candidate.cost for candidate in by_cost if candidate.effect.name != by_cost[0].effect.name
-    ]
-    if not other_costs or by_cost[0].cost * SETTINGS.lead_cost_ratio > min(other_costs):
+    if not candidates:
         return []
-    lead = by_cost[0]
+    lead = min(candidates, key=lambda candidate: candidate.cost)
+    other_costs = [
+        candidate.cost for candidate in candidates if candidate.effect.name != lead.effect.name
+    ]
+    if not other_costs or lead.cost * SETTINGS.lead_cost_ratio > min(other_costs):
+        return []
     ranking = rank_candidates(dataset, base_fit, result.fit, candidates)
     lead_step = CauseStep(lead.effect, (), ranking, lead.fit)
     second_candidates = _fit_next_candidates(result.add_step(lead_step), search)
@@ -450,7 +382,7 @@ def _restart_from_other_cause(result: CauseSearchResult, search: CauseSearch) ->
     restarted = _prune_result(restarted)
     # see `_find_cause_pair`
     is_accepted = result.steps or is_within_tolerance(
-        dataset, compute_errors(dataset, restarted.fit), SETTINGS.tolerance_ratio_max
+        dataset, restarted.errors, SETTINGS.tolerance_ratio_max
     )
     is_better = len(restarted.steps) > 1 and is_accepted
     return restarted if is_better and _compute_evidence(restarted, result) > 0.0 else result
@@ -462,24 +394,20 @@ def _choose_other_first_cause(result: CauseSearchResult) -> Candidate | None:
     The effect that explains most by itself need not be among those that together explain all:
     plays of many thresholds imitate the gain of a load cell, badly.
     """
-    names = {step.effect.name for step in result.steps[:1]}
-    first = min(
-        (
-            candidate
-            for candidate in result.first_candidates
-            if candidate.effect.name in names or not names
-        ),
-        key=lambda candidate: candidate.cost,
-        default=None,
-    )
+    candidates = result.first_candidates
+    if result.steps:
+        cause = result.steps[0].effect.name
+        candidates = [candidate for candidate in candidates if candidate.effect.name == cause]
+    if not candidates:
+        return None
+    first = min(candidates, key=lambda candidate: candidate.cost)
     alternatives = [
         candidate
         for candidate in result.first_candidates
-        if first is not None
-        and candidate.effect.name != first.effect.name
+        if candidate.effect.name != first.effect.name
         and abs(candidate.cost / first.cost - 1.0) > SAME_COST_TOLERANCE
     ]
-    base_errors = compute_errors(result.dataset, result.base_fit)
+    base_errors = result.base_errors
     return max(
         alternatives,
         key=lambda candidate: score_candidate(result.dataset, base_errors, candidate),
@@ -543,8 +471,8 @@ def _is_function_better(with_function: CauseSearchResult, named: CauseSearchResu
     """Return whether a free function explains what named causes do not; as good, they are named."""
     if _is_explained(named):
         return False
-    errors = (compute_errors(result.dataset, result.fit) for result in (with_function, named))
-    if compute_residual_fraction(*errors) < SETTINGS.free_function_fraction:
+    fraction = compute_residual_fraction(with_function.errors, named.errors)
+    if fraction < SETTINGS.free_function_fraction:
         return True
     is_unexplained = not named.steps or _compute_fraction(named) > SETTINGS.unexplained_fraction_max
     return is_unexplained and _compute_evidence(with_function, named) > 0.0
@@ -554,19 +482,17 @@ def _is_function_better(with_function: CauseSearchResult, named: CauseSearchResu
 
 
 def _is_explained(result: CauseSearchResult) -> bool:
-    return is_noise(result.dataset, compute_errors(result.dataset, result.fit))
+    return is_noise(result.dataset, result.errors)
 
 
 def _is_foreign(result: CauseSearchResult) -> bool:
     """Return whether neither the base law nor any first candidate makes a tendon of the data."""
-    errors = compute_errors(result.dataset, result.fit), *_get_errors(result.first_candidates)
-    return are_not_tendon_data(result.dataset, errors)
+    return is_foreign_data(result.dataset, (result.errors, *_get_errors(result.first_candidates)))
 
 
 def _has_law(result: CauseSearchResult) -> bool:
     """Return whether the base law makes some of the data, so that a function can correct it."""
-    errors = compute_errors(result.dataset, result.base_fit)
-    return compute_missed_share(result.dataset, errors) < SETTINGS.foreign_share_law
+    return compute_missed_share(result.dataset, result.base_errors) < SETTINGS.foreign_share_law
 
 
 def _get_errors(candidates: Sequence[Candidate]) -> Iterator[dict[str, ChannelErrors]]:
@@ -575,8 +501,7 @@ def _get_errors(candidates: Sequence[Candidate]) -> Iterator[dict[str, ChannelEr
 
 def _compute_fraction(result: CauseSearchResult) -> float:
     """Return the share of the base law's error beyond noise that is left."""
-    errors = (compute_errors(result.dataset, fit) for fit in (result.fit, result.base_fit))
-    return compute_residual_fraction(*errors)
+    return compute_residual_fraction(result.errors, result.base_errors)
 
 
 def _compute_evidence(a: CauseSearchResult, b: CauseSearchResult) -> float:
@@ -586,9 +511,7 @@ def _compute_evidence(a: CauseSearchResult, b: CauseSearchResult) -> float:
     """
     if a is b:
         return 0.0
-    ratio = compute_log_likelihood_ratio(
-        compute_errors(a.dataset, a.fit), compute_errors(b.dataset, b.fit)
-    )
+    ratio = compute_log_likelihood_ratio(a.errors, b.errors)
     extra_degrees = _count_degrees(a) - _count_degrees(b)
     return ratio - compute_bic_penalty(a.dataset, extra_degrees) - SETTINGS.equivalent_score_max
 
@@ -602,24 +525,6 @@ def _count_degrees(result: CauseSearchResult) -> float:
 
 def _is_within_model_error(result: CauseSearchResult) -> bool:
     """Return whether the residual is too small to tell another cause from model error."""
-    errors = compute_errors(result.dataset, result.fit)
     return _compute_fraction(result) < SETTINGS.residual_fraction_min or is_within_tolerance(
-        result.dataset, errors, SETTINGS.tolerance_ratio_max
+        result.dataset, result.errors, SETTINGS.tolerance_ratio_max
     )
-
-
-def has_localised_misfit(dataset: Dataset, base_fit: Fit) -> bool:
-    """Return whether nearly all of the misfit lies in one block, or in two neighbouring ones."""
-    peak = total = 0.0
-    for record, simulated in zip(dataset.records, base_fit.simulated, strict=True):
-        excess = np.zeros(record.block[-1] + 1)
-        for channel in record.compared:
-            rows = record.valid[channel]
-            error = (simulated.signals[channel] - record.signals[channel])[rows] / record.sigma[
-                channel
-            ][rows]
-            excess += np.bincount(record.block[rows], error**2 - 1.0, len(excess))
-        excess = np.maximum(excess, 0.0)
-        peak = max(peak, float(np.convolve(excess, np.ones(2)).max()))
-        total += float(excess.sum())
-    return peak > SETTINGS.localised_share * total

@@ -125,7 +125,7 @@ def bootstrap_superiority(a: dict[str, ChannelErrors], b: dict[str, ChannelError
         if len({len(d) for d in difference}) == 1
         else np.concatenate(difference)
     )
-    draws = _draw_blocks(total)
+    draws = _draw_bootstrap_rows(total)
     return float(np.mean(total[draws].sum(axis=1) > 0.0))
 
 
@@ -153,7 +153,7 @@ def compute_residual_fraction(a: dict[str, ChannelErrors], b: dict[str, ChannelE
     return remaining / total if total else 0.0
 
 
-def _draw_blocks(series: Array) -> NDArray[np.intp]:
+def _draw_bootstrap_rows(series: Array) -> NDArray[np.intp]:
     """Return rows of bootstrapped records, (BOOTSTRAP_DRAWS, n): moving blocks of the series.
 
     A block is as long as two independent bins are apart, by the correlation of neighbours; a fixed
@@ -170,7 +170,7 @@ def _draw_blocks(series: Array) -> NDArray[np.intp]:
 def bootstrap_gain(a: ChannelErrors, b: ChannelErrors) -> IntervalEstimate:
     """Return by which share the RMSE is smaller under `a` than under `b`, and its 95 % interval."""
     value = 1.0 - math.sqrt(a.mean_square / max(b.mean_square, 1e-12))
-    draws = _draw_blocks(b.normalised_squares - a.normalised_squares)
+    draws = _draw_bootstrap_rows(b.normalised_squares - a.normalised_squares)
     ratio = a.normalised_squares[draws].sum(axis=1) / np.maximum(
         b.normalised_squares[draws].sum(axis=1), 1e-12
     )
@@ -193,12 +193,28 @@ def compute_missed_share(dataset: Dataset, errors: dict[str, ChannelErrors]) -> 
     return max(shares)
 
 
-def are_not_tendon_data(dataset: Dataset, errors: Iterable[dict[str, ChannelErrors]]) -> bool:
+def is_foreign_data(dataset: Dataset, errors: Iterable[dict[str, ChannelErrors]]) -> bool:
     """Return whether each of several models misses so much that data are surely of no tendon."""
     return all(
         compute_missed_share(dataset, model_errors) > SETTINGS.foreign_share_stop
         for model_errors in errors
     )
+
+
+def has_localised_misfit(dataset: Dataset, base_fit: Fit) -> bool:
+    """Return whether nearly all of the misfit lies in one block, or in two neighbouring ones."""
+    peak = total = 0.0
+    for record, simulated in zip(dataset.records, base_fit.simulated, strict=True):
+        excess = np.zeros(record.block[-1] + 1)
+        for channel in record.compared:
+            rows = record.valid[channel]
+            error = (simulated.signals[channel] - record.signals[channel])[rows]
+            scaled_error = error / record.sigma[channel][rows]
+            excess += np.bincount(record.block[rows], scaled_error**2 - 1.0, len(excess))
+        excess = np.maximum(excess, 0.0)
+        peak = max(peak, float(np.convolve(excess, np.ones(2)).max()))
+        total += float(excess.sum())
+    return peak > SETTINGS.localised_share * total
 
 
 def is_noise(dataset: Dataset, errors: dict[str, ChannelErrors]) -> bool:
@@ -210,9 +226,9 @@ def is_within_tolerance(
     dataset: Dataset, errors: dict[str, ChannelErrors], ratio_max: float
 ) -> bool:
     """Return whether errors are below `ratio_max` times those of noise and of a simulation."""
-    floor = compute_tolerance(dataset)
+    tolerance = compute_tolerance(dataset)
     return all(
-        math.sqrt(channel_errors.mean_square) < ratio_max * floor[channel]
+        math.sqrt(channel_errors.mean_square) < ratio_max * tolerance[channel]
         for channel, channel_errors in errors.items()
     )
 

@@ -33,10 +33,10 @@ from estimator.diagnosis.fit import (
 )
 from estimator.diagnosis.scoring import (
     ChannelErrors,
-    are_not_tendon_data,
     compute_bic_penalty,
     compute_errors,
     compute_log_likelihood_ratio,
+    is_foreign_data,
     is_noise,
 )
 from estimator.diagnosis.settings import SETTINGS, ProgressCallback, scale_progress
@@ -143,7 +143,7 @@ def fit_candidates(
         for candidate in sorted(selected_starts, key=lambda candidate: candidate.cost)
     ]
     law_errors = compute_errors(subsampled, subsampled_fit)
-    if are_not_tendon_data(subsampled, [law_errors]):
+    if is_foreign_data(subsampled, [law_errors]):
         models = models[:FOREIGN_STARTS]
     best: list[Candidate] = []
     progress_begin = SCREENING_PROGRESS
@@ -164,9 +164,7 @@ def fit_candidates(
             for candidate in best
             if candidate.cost < cost_ratio_max * best[0].cost
         ]
-        if are_not_tendon_data(
-            subsampled, (law_errors, *(candidate.held_out for candidate in best))
-        ):
+        if is_foreign_data(subsampled, (law_errors, *(candidate.held_out for candidate in best))):
             models = []
             break
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis.causes import select_simplest_cause
+from estimator.diagnosis.cause_selection import select_simplest_cause
 from estimator.diagnosis.dataset import Model, build_dataset, simulate_dataset
 from estimator.diagnosis.record import prepare_record
 from estimator.diagnosis.scoring import compute_errors
