@@ -435,6 +435,7 @@ def _find_function(result: CauseSearchResult, search: CauseSearch) -> CauseSearc
     best: CauseSearchResult | None = None
     base = result._replace(steps=[], fit=result.base_fit)
     for start in (base, *([result] if result.steps else [])) if functions else ():
+        begin = _hold_out_aperiodically(start)
         for group, what in ((others, "free functions"), (cycles, "cycles")):
             # beside a named cause, or a function, it could only follow noise
             if best is not None and _is_explained(best):
@@ -442,7 +443,6 @@ def _find_function(result: CauseSearchResult, search: CauseSearch) -> CauseSearc
             place = f" beside {start.steps[0].effect.name}" if start.steps else ""
             if not group or not search.budget.has_time(f"{what}{place}"):
                 continue
-            begin = _hold_out_aperiodically(start) if group is cycles else start
             candidates = fit_functions(
                 begin.dataset, begin.fit, group, search.report, search.workers
             )

@@ -467,12 +467,12 @@ def shorten_blocks(record: Record) -> Record:
 def hold_out_aperiodically(record: Record) -> Record:
     """Return a record whose fitted half repeats nothing; of every other block, a cycle may.
 
-    Blocks are about as long as the knots of a long cycle are apart: of three cycles, longer ones
-    leave phases that one of the halves never sees.
+    Blocks are short, so that both halves see the whole range of a variable: longer ones leave
+    speeds, or phases of a long cycle, that one half never sees, and nothing tells a function there.
     """
     if record.train.all():
         return record
-    block = assign_blocks(record.time, SETTINGS.cycle_block)
+    block = assign_blocks(record.time, SETTINGS.function_block)
     return replace(record, train=select_aperiodic_half(block), block=block)
 
 

@@ -18,7 +18,7 @@ class Settings:
     # which samples of a record count (record.py)
     samples_min: int = 100  # of a record that is accepted
     samples_max: int = 20_000  # that are simulated; a longer record is averaged
-    cycle_block: float = 0.25  # of a block's length, where a cycle is looked for
+    function_block: float = 0.25  # of a block's length, where a free function is looked for
     short_block: float = 0.02  # of a block's length, where the error fills but a block or two
     noise_min: float = 2e-4  # of a channel's range; nothing is simulated more precisely
     reversals_max: float = 0.3  # of the samples, that are left out beside reversals

@@ -207,16 +207,15 @@ def fit_time_varying_friction(dataset: Dataset, fit: Fit, effect: Effect) -> Fit
 def transfer_to_validation(dataset: Dataset, model: Model) -> Model:
     """Return a model of a dataset for other records.
 
-    What happened in a record is left out, and friction that changed in it stays as it was at the
-    end of the longest.
+    What happened in a record is left out. Friction that changed in it stays as it was at the end of
+    the longest, and over a cycle, whose phase nothing tells, at its mean.
     """
     end = max(float(record.time[-1]) for record in dataset.records)
+    frozen = FRICTION_TIME_EFFECTS | FUNCTIONS_AT_END | {"friction_by_phase"}
     return model._replace(
         effects=tuple(
             (
-                _freeze_friction(end, effect)
-                if effect.name in FRICTION_TIME_EFFECTS | FUNCTIONS_AT_END
-                else effect,
+                _freeze_friction(end, effect) if effect.name in frozen else effect,
                 values,
             )
             for effect, values in model.effects
@@ -394,6 +393,7 @@ def _compute_detection_ratio(dataset: Dataset, fit: Fit, change: Array) -> float
 # comparison with what the load cell at the tip reads (estimator.online.force_error).
 
 SHEATH_LENGTH = 1.0  # [m] of the sheath: elongation and force go by L/EA
+END_SHARE = 0.1  # of a record, in which friction that changes is taken as it ended
 
 
 def build_tendon_model(model: Model, duration: float, data: MeasuredData) -> TendonModel:
@@ -450,9 +450,8 @@ def compute_force_error(model: Model, duration: float, data: MeasuredData) -> Fo
 def compute_live_error(folds: Sequence[Fold], duration: float) -> LiveError | None:
     """Return how far the force is off in samples that were not fitted, live, with both models.
 
-    None where the loop runs no such model, nothing tells the force, or the model is not of the
-    whole record: friction that is taken as it ended is not judged by how it began, nor by the end,
-    in which it changes.
+    None where the loop runs no such model, nothing tells the force, or something happened in one
+    record only. Friction that is taken as it ended is judged by the end of the longest record.
     """
     dataset = folds[0].dataset
     first = dataset.records[0]
@@ -460,12 +459,15 @@ def compute_live_error(folds: Sequence[Fold], duration: float) -> LiveError | No
         return None
     as_ended = FRICTION_TIME_EFFECTS | FUNCTIONS_AT_END
     effects = [effect for effect, _ in folds[0].fits[1].model.effects]
-    if any(effect.name in as_ended or is_record_specific(effect) for effect in effects):
+    if any(map(is_record_specific, effects)):
         return None
+    has_changed = any(effect.name in as_ended for effect in effects)
+    begin = (1.0 - END_SHARE) * duration if has_changed else 0.0
     squares, samples = np.zeros(2), 0
     for fold in folds:
         for record in fold.dataset.records:
             is_judged = record.measured & (~record.train | record.train.all())
+            is_judged = is_judged & (record.time >= begin)
             tip = record.signals.get(DISTAL_TENSION)
             if tip is not None:
                 tip = np.where(is_judged & record.valid[DISTAL_TENSION], tip, np.nan)

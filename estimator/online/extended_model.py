@@ -240,7 +240,7 @@ def is_record_specific(effect: Effect) -> bool:
         return True
     if effect.function is not None:
         is_of_time = effect.name.endswith(("_by_time", "_by_path", "_by_phase"))
-        return is_of_time and effect.name not in FUNCTIONS_AT_END
+        return is_of_time and not effect.name.startswith("friction")
     return OMISSION_REASONS.get(effect.name) == _REASON_RECORD
 
 

@@ -143,7 +143,7 @@ class Result(NamedTuple):
         """Whether it named something else, and surely."""
         return (
             not self.right
-            and (self.verdict == Verdict.NAMED or (self.by and bool(self.causes)))
+            and (self.verdict == Verdict.NAMED or bool(self.by and self.causes))
             and not set(self.case.effects) & set(self.causes)
         )
 

@@ -91,11 +91,18 @@ def test_the_band_holds_the_curve_where_the_spline_cannot_follow_it():
     assert np.median(width) < 0.1
 
 
-@pytest.mark.parametrize("variable", ["speed", pytest.param("path", marks=pytest.mark.slow)])
-def test_a_curve_is_as_smooth_as_held_out_samples_favour(variable):
+@pytest.mark.parametrize(
+    ("variable", "seed"),
+    [
+        ("speed", 826),  # one half of long blocks lacks some speeds
+        pytest.param("speed", 301, marks=pytest.mark.slow),
+        pytest.param("path", 301, marks=pytest.mark.slow),
+    ],
+)
+def test_a_curve_is_as_smooth_as_held_out_samples_favour(variable, seed):
     """A line to few samples at an end of the range, or too stiff a curve, is not significant."""
     name, function = f"outside:friction_over_{variable}", f"friction_by_{variable}"
-    _, found, residual_fraction = searched(name, 301, "blocked", function, travel_noise=5e-7)
+    _, found, residual_fraction = searched(name, seed, "blocked", function, travel_noise=5e-7)
     assert [step.effect.name for step in found.steps] == [function]
     assert residual_fraction < 0.1
 

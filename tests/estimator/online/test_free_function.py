@@ -128,6 +128,10 @@ def test_friction_that_the_loop_cannot_follow_leaves_its_mean():
         assert found.uses[0][2] is EffectUse.OMITTED
         np.testing.assert_allclose(found.sheath.K, 0.8 * (1.0 + mean), rtol=1e-3)
         assert "K has its mean" in explain_omission(pair[0])
+    dataset = SimpleNamespace(records=[SimpleNamespace(time=warmth)])
+    ((on_other_days, values),) = transfer_to_validation(dataset, Model((), (), (cycle,))).effects
+    other_day = on_other_days.physics(Physics(np.full(7, 0.8), 1e-4, np.ones(1)), values, None)
+    np.testing.assert_allclose(other_day.friction, 0.8 * 1.1, rtol=1e-3)
 
 
 @pytest.mark.parametrize("name", ["friction_by_time", "friction_by_path"])
