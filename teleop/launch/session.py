@@ -29,7 +29,7 @@ from teleop.launch.console import Console
 from teleop.launch.launcher import LaunchPlan, build_rig_overrides, plan_session, run_session
 from teleop.link import Link
 from teleop.remote.client import SessionClient
-from teleop.runtime.process import StopCondition
+from teleop.runtime.process import StopCondition, defer_interrupt
 from teleop.runtime.status_line import StatusLine
 from teleop.session.config import ENDPOINT_KEYS
 from teleop.session.summary import SessionSummary
@@ -173,21 +173,15 @@ class Session(SessionClient):
 
         May be called again.
         """
-        self._stop.request("the program has ended it")
-        self._wake.set()
-        interruption: BaseException | None = None
-        # a thread without an identity was never started
-        while self._thread is not None and self._thread.ident and not self._has_ended.is_set():
-            try:
-                self._has_ended.wait()  # not `join`: interrupted, it takes the thread for ended
-            except KeyboardInterrupt as error:  # a second Ctrl-C: the motors come first
-                interruption = error
-        atexit.unregister(self.end)
-        self._disconnect()
-        if self._operator is not None:
-            self._operator.close()
-        if interruption is not None:
-            raise interruption
+        with defer_interrupt():  # the motors come first
+            self._stop.request("the program has ended it")
+            self._wake.set()
+            if self._thread is not None and self._thread.ident:  # it was started
+                self._has_ended.wait()
+            atexit.unregister(self.end)
+            self._disconnect()
+            if self._operator is not None:
+                self._operator.close()
 
     @property
     def operator(self) -> ProgramOperator:

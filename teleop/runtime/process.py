@@ -5,6 +5,7 @@ import math
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -97,6 +98,26 @@ interrupt_handler = _InterruptHandler()
 def to_exit_code(reason: str) -> int:
     """Return the exit code of a command that a signal of this name ended; 0 for another reason."""
     return 128 + signal.Signals[reason] if reason in signal.Signals.__members__ else 0
+
+
+@contextmanager
+def defer_interrupt() -> Iterator[None]:
+    """Hold Ctrl-C back until this is left; only the main thread is interrupted by it.
+
+    Raised as a lock is being taken, it would leave the lock taken, and all waiting for it.
+    """
+    handler = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(handler):
+        yield
+        return
+    received: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda *signalled: received.append(signalled))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        if received:
+            handler(*received[-1])
 
 
 class StopCondition:

@@ -14,6 +14,7 @@ from teleop.errors import TeleopError, UsageError
 from teleop.runtime.process import (
     SUPERVISED_VARIABLE,
     StopCondition,
+    defer_interrupt,
     die_with_launcher,
     die_with_parent,
     parse_seconds,
@@ -63,6 +64,24 @@ def test_an_interruption_that_python_ignores_is_delivered_again():
         [sys.executable, "-c", LOST], capture_output=True, text=True, check=True, timeout=20
     )
     assert (run.stdout, run.stderr) == ("interrupted\n", "")
+
+
+def test_an_interruption_comes_after_what_is_not_to_be_interrupted():
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    done = []
+
+    def work():
+        with defer_interrupt():
+            signal.raise_signal(signal.SIGINT)
+            done.append("all")
+
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            work()
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    assert done == ["all"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
