@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from pytest_rerunfailures import StatusDB
 
 from tests.root import ROOT
 
@@ -104,6 +105,15 @@ def is_in(path: Path, places: tuple[str, ...]) -> bool:
 def pytest_xdist_auto_num_workers() -> int:
     """Return one and a half workers a processor: a third of the time, a test waits."""
     return max(2, 3 * (os.cpu_count() or 1) // 2)
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Let workers keep no count of crashes: 45 ms a test, as TCP delays its small packets.
+
+    With `--dist loadfile` it decides nothing: a test that ends its worker has failed.
+    """
+    if hasattr(session.config, "workerinput"):
+        session.config.failures_db = StatusDB()
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

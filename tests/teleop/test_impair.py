@@ -411,8 +411,8 @@ def test_delay_and_cut_are_those_of_the_command_and_presence_ends_with_who_was_p
             time.sleep(0.2)
             ages_ns = [item.received_ns - item.stamp_ns for item in listener.drain()]
             late[delay_s] = np.array(ages_ns) * 1e-9
-        assert np.median(late[0.05]) - np.median(late[0.0]) == pytest.approx(0.05, abs=0.001)
-        assert late[0.05].min() >= 0.05
+        # the earliest: a busy machine holds up some of either, never all
+        assert 0.05 <= late[0.05].min() <= 0.051 + late[0.0].min()
 
         def heard():
             publish(master, COMMAND, Command(), 50, period_s=0.005)
