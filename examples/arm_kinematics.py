@@ -25,15 +25,16 @@ step = est.InverseStep.array()[0]
 q, dt = np.zeros(3), 1e-3  # bend towards x and y, wrist
 torque = np.array([0.05, 0.0, 0.02])  # [N m]
 twist, error = np.array([0.02, 0, 0, 0, 0, 0]), np.zeros(6)  # [m/s], [rad/s]
-given = taken = 0.0
+hand_work = joint_work = 0.0
 for tick in range(2501):
     jacobian = est.compute_jacobian(prepared, q)
     est.step_inverse(prepared, settings, jacobian, q, twist, error, dt, step)
     force = step["velocity_map"][:3].T @ torque
     velocity = step["joint_velocity"][:3]
-    given, taken = given + force @ twist * dt, taken + torque @ velocity * dt
+    hand_work += force @ twist * dt
+    joint_work += torque @ velocity * dt
     q = q + velocity * dt
     if tick % 500 == 0:
         x = est.compute_tip_pose(prepared, q)[0, 3]
         print(f"{1e3 * x:5.1f} mm: bend {q[0]:.2f}, wrist {q[2]:.2f} rad, hand {force[0]:.2f} N")
-print(f"work of the hand {1e3 * given:.4f} mJ, of the joints {1e3 * taken:.4f} mJ")
+print(f"work of the hand {1e3 * hand_work:.4f} mJ, of the joints {1e3 * joint_work:.4f} mJ")

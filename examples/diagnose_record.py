@@ -9,6 +9,6 @@ import estimator as est
 from teleop import make_spring_bench, simulate
 
 run = simulate(make_spring_bench(), "nested", duration=20.0, rate=100.0).tendon()
-wrong = run._replace(distal_tension=1.15 * run.distal_tension)
-found = est.diagnose(wrong, ["distal_tension_gain", "creep", "friction_step"])
-print(est.summarise_result(found))
+misread = run._replace(distal_tension=1.15 * run.distal_tension)
+diagnosis = est.diagnose(misread, ["distal_tension_gain", "creep", "friction_step"])
+print(est.summarise_result(diagnosis))

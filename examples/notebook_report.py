@@ -2,7 +2,7 @@
 
     python examples/notebook_report.py report.html
 
-In a notebook, `est.show_result(found)` at the end of a cell shows the same.
+In a notebook, `est.show_result(diagnosis)` at the end of a cell shows the same.
 """
 
 import sys
@@ -17,10 +17,10 @@ monday, tuesday = (
     simulate(bench, "nested", duration=20.0, rate=50.0, scale=MotionScale(speed=speed)).tendon()
     for speed in (0.003, 0.004)
 )
-found = est.diagnose(monday, ["distal_tension_gain", "creep"], validate=[tuesday])
-for file in found.forces:
+diagnosis = est.diagnose(monday, ["distal_tension_gain", "creep"], validate=[tuesday])
+for file in diagnosis.forces:
     kind = "validation" if file.validation else "fitted"
     print(f"{kind}: force off by {file.before.rmse:.3f} N before, {file.after.rmse:.3f} N after")
-est.plot_result(found).savefig("monday.svg")
+est.plot_result(diagnosis).savefig("monday.svg")
 if len(sys.argv) > 1:
-    Path(sys.argv[1]).write_text(est.show_result(found).html)
+    Path(sys.argv[1]).write_text(est.show_result(diagnosis).html)

@@ -19,14 +19,16 @@ noise = np.random.default_rng(0)
 
 
 def record(bend: float) -> est.PairRecord:
-    still = np.full(len(time), 5.0)  # [N] of pretension, which the first sample gives
-    asked = est.PairRecord(bend, time, np.sin(time), np.zeros(len(time)), still, still)
-    angle, a, b = simulate_by_command(true, asked)
-    unsure = noise.normal(0.0, 0.02, (2, len(time)))
-    return asked._replace(angle=angle, tension_a=a + unsure[0], tension_b=b + unsure[1])
+    pretension = np.full(len(time), 5.0)  # [N], which the first sample gives
+    commanded = est.PairRecord(
+        bend, time, np.sin(time), np.zeros(len(time)), pretension, pretension
+    )
+    angle, a, b = simulate_by_command(true, commanded)
+    cell_noise = noise.normal(0.0, 0.02, (2, len(time)))
+    return commanded._replace(angle=angle, tension_a=a + cell_noise[0], tension_b=b + cell_noise[1])
 
 
-found = est.study_pair([record(bend) for bend in (0.0, 1.5, 3.0)], validate=[record(2.2)])
-print(f"K grows by {found.growth.value:.2f} per radian ({true.growth} was put in)")
-print(f"a bend kept apart: {found.validation[0].model_error.share:.1%} of the span")
-est.plot_result(found)  # a figure; in a notebook, est.show_result(found) shows all of them
+study = est.study_pair([record(bend) for bend in (0.0, 1.5, 3.0)], validate=[record(2.2)])
+print(f"K grows by {study.growth.value:.2f} per radian ({true.growth} was put in)")
+print(f"a bend kept apart: {study.validation[0].model_error.share:.1%} of the span")
+est.plot_result(study)  # a figure; in a notebook, est.show_result(study) shows all of them

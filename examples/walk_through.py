@@ -36,16 +36,16 @@ print(f"RMSE {np.sqrt(np.mean(error**2)):.3f} N; first half {error[:1200].std():
 # here; leave them out to search them all.
 
 # %%
-found = est.diagnose(run, ["friction_step", "friction_drift", "creep", "distal_tension_gain"])
-print(est.summarise_result(found))
+diagnosis = est.diagnose(run, ["friction_step", "friction_drift", "creep", "distal_tension_gain"])
+print(est.summarise_result(diagnosis))
 
 # %% [markdown]
 # ## 4. The verdict
 # A cause, its size with a 95 % interval, and the share of the error that modelling it removes.
 
 # %%
-print(f"\nverdict: {found.verdict}, causes: {', '.join(found.causes)}")
-for channel, gain in found.gain.items():
+print(f"\nverdict: {diagnosis.verdict}, causes: {', '.join(diagnosis.causes)}")
+for channel, gain in diagnosis.gain.items():
     print(
         f"{channel}: held-out error falls by {gain.value:.0%} ({gain.low:.0%} to {gain.high:.0%})"
     )

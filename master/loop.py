@@ -402,7 +402,7 @@ def _step_session(tick: Tick, is_finite: bool, dt: float) -> None:
         inputs.peer = state.sender
     is_degraded = tick_input.has_state and state.force_reduction != 0.0
     inputs.degraded = Reason.CALIBRATION_DUE if is_degraded else Reason.NONE
-    inputs.engage = hand.present and is_switch_closed(memory.session, hand, memory.presence)
+    inputs.engage = hand.present and is_engage_pressed(memory.session, hand, memory.presence)
     inputs.fault = tick_input.fault
     if tick_input.fault == Reason.NONE and not is_plausible(memory.session, hand, is_finite):
         inputs.fault = Reason.NOT_FINITE
@@ -463,12 +463,7 @@ def _record_answer(memory: MasterMemory, tick_input: TickInput, state: SlaveStat
 @jit_compile
 def _has_weight_compensation(session: Session) -> bool:
     """Return whether weight compensation is on in this state of the session."""
-    return (
-        session.state == State.READY  # noqa: PLR1714 - compiled
-        or session.state == State.CLUTCHED
-        or session.state == State.HOLDING
-        or session.state == State.ENGAGED
-    )
+    return session.state in (State.READY, State.CLUTCHED, State.HOLDING, State.ENGAGED)
 
 
 @jit_compile
@@ -491,16 +486,12 @@ def is_fresh(settings: MasterSettings, tick_input: TickInput, state: SlaveState)
 
 
 @jit_compile
-def is_switch_closed(session: Session, hand: HandInput, presence: Presence) -> bool:
-    """Return whether the engage switch counts as closed.
+def is_engage_pressed(session: Session, hand: HandInput, presence: Presence) -> bool:
+    """Return whether the engage switch counts as pressed.
 
     Not while no hand is detected; but a fault is cleared only when the real switch is released.
     """
-    if (
-        session.state == State.FAULT  # noqa: PLR1714 - compiled
-        or session.state == State.HOLDING
-        or session.state == State.STOPPED
-    ):
+    if session.state in (State.FAULT, State.HOLDING, State.STOPPED):
         return hand.engage or hand.clutch or hand.stop
     return hand.engage and not presence.is_away
 

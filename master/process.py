@@ -12,7 +12,7 @@ has been reset too (`teleop stop --reset`). A HID device that is unplugged may b
 """
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from functools import partial
 from typing import Any, TypeVar
@@ -21,21 +21,19 @@ import numpy as np
 
 from estimator.structs import StructArray, view_struct
 from master import live_settings, loop
-from master.axis_map import AxisMapper, HandMapper, VelocityMap
+from master.axis_map import HandMapper, VelocityMap, build_mapper
 from master.config import MasterConfig
 from master.coupling_extension import HandEnd
 from master.device import Device, DeviceFault, DeviceLost, HandState
 from master.devices import open_device
 from master.gate import GateFlags
 from master.hand_input import HandInput, fill_hand_input
-from master.mapping_config import AxisMapConfig
 from master.settings_record import SettingsRecord
-from teleop.config.arm import ArmConfig
 from teleop.config.extension_calls import ExtensionFault
 from teleop.config.options import add_option, add_options
 from teleop.config.ranges import build_bounds_warnings
 from teleop.coupling import Bilateral, CouplingExtension
-from teleop.errors import TeleopError, UsageError
+from teleop.errors import TeleopError
 from teleop.link import NEVER_NS, LatestMessage, Link
 from teleop.link.health import DEFAULT_BOUNDS, HealthConfig, compile_link_window_update
 from teleop.link.rate_limit import RateLimit
@@ -161,7 +159,7 @@ class MasterProcess(LoopProcess):
         self._finish_tick(tick, hand, requests, round_trip)
         self._publish_changes(changed, hand, absence)
         outline = self._outline()
-        self._meter.tick(outline, now_ns() - tick.stamp_ns, self._describe_reason(outline))
+        self._meter.add_tick(outline, now_ns() - tick.stamp_ns, self._describe_reason(outline))
 
     def close(self) -> None:
         """Write zero force and publish the end, however the loop ended."""
@@ -187,7 +185,7 @@ class MasterProcess(LoopProcess):
         except DeviceLost as error:
             return Reason.DEVICE_FAULT, None, str(error)
         except DeviceFault as error:
-            return self._end_on_device_fault(error), None, ""
+            return self._end_on_fault(error), None, ""
         finally:
             self._reads.add(now_ns() - begin_ns)
 
@@ -214,7 +212,7 @@ class MasterProcess(LoopProcess):
             self._checkpoint.run_step(partial(compute, fault, requests), now_ns(), tick.dt)
         except ExtensionFault as error:
             self._checkpoint.restore()
-            fault = self._end_on_extension_fault(error)
+            fault = self._end_on_fault(error)
             compute(fault, requests, now_ns(), tick.dt)
         return fault
 
@@ -291,7 +289,7 @@ class MasterProcess(LoopProcess):
             try:
                 self._coupling_extension.render(settings, self._states.is_there)
             except ExtensionFault as error:
-                fault, has_new_state, has_failed = self._end_on_extension_fault(error), True, True
+                fault, has_new_state, has_failed = self._end_on_fault(error), True, True
         self._checkpoint.save()
         verdict = self._compute_force(settings, tick, fault, requests, has_new_state)
         begin_ns = now_ns()
@@ -303,7 +301,7 @@ class MasterProcess(LoopProcess):
             # command then tells the slave
             self._checkpoint.restore()
             fill_hand_input(self._hands, None)
-            failed = self._end_on_device_fault(error)
+            failed = self._end_on_fault(error)
             verdict = self._compute_force(settings, tick, failed, requests, has_new_state=True)
             fill_hand_input(self._hands, hand)
             has_failed = True
@@ -409,13 +407,12 @@ class MasterProcess(LoopProcess):
             return f"{difference}axes from {joints + 1} on move nothing"
         return f"{difference}joints from {axes + 1} on are not moved"
 
-    def _end_on_device_fault(self, error: DeviceFault) -> Reason:
+    def _end_on_fault(self, error: DeviceFault | ExtensionFault) -> Reason:
+        if isinstance(error, ExtensionFault):
+            self._end_session(error)
+            return Reason.EXTENSION_FAULT
         self._end_session(TeleopError(f"haptic device: {error}"))
         return Reason.DEVICE_FAULT
-
-    def _end_on_extension_fault(self, error: ExtensionFault) -> Reason:
-        self._end_session(error)
-        return Reason.EXTENSION_FAULT
 
     def _publish_session(self, outline: SessionOutline) -> None:
         self._published = outline
@@ -506,37 +503,6 @@ def main(args: argparse.Namespace) -> int:
         return master, grid, stop
 
     return report_outcome(args, *run_session(Role.MASTER, shared, start))
-
-
-def build_mapper(config: MasterConfig, arms: Sequence[ArmConfig], axes: int) -> HandMapper | None:
-    """Return what maps a device of so many axes to the joints, None if axis k moves joint k.
-
-    `UsageError` if the device, the mapping and the arms do not fit.
-    """
-    mapping = config.mapping
-    if mapping is None:
-        return None
-    if isinstance(mapping, AxisMapConfig):
-        for j, joint in enumerate(mapping.joints):
-            if joint.axis is not None and joint.axis >= axes:
-                raise UsageError(
-                    f"master.mapping.joints.{j}.axis: {joint.axis}, but the device has {axes} axes"
-                )
-        return AxisMapper(mapping, config.gate.torque_lever)
-    from master.space_map import SpaceMapper
-
-    count = sum(len(hand.axes) for hand in mapping.hands)
-    if count != axes:
-        raise UsageError(
-            f"master.mapping.hands: their axes are {count}, but the device has {axes}; name each"
-        )
-    if len(mapping.hands) != len(arms) or not all(arm.has_kinematics for arm in arms):
-        raise UsageError(
-            f"master.mapping.hands: {len(mapping.hands)} hands in space need as many arms with "
-            "kinematics (arms.0.urdf or arms.0.sections)"
-        )
-    kinematics = [arm.load_kinematics() for arm in arms]
-    return SpaceMapper(mapping, kinematics, [arm.pulleys for arm in arms], config.gate.torque_lever)
 
 
 def warm_up() -> None:

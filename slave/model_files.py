@@ -166,3 +166,15 @@ def describe_effects(tendon: TendonConfig) -> list[str]:
             "is the cause, the force correction is wrong; record more data (see teleop diagnose)"
         )
     return warnings or ["sheath model without effects"]
+
+
+def describe_models(tendons: Sequence[TendonConfig]) -> list[str]:
+    """Return what the models of diagnoses do in the loop, with warnings, as lines."""
+    notes: dict[str, None] = {}
+    for tendon in tendons:
+        for sentence in describe_effects(tendon):
+            notes[f"{tendon.model_file}: {sentence}"] = None
+        if tendon.model_file is not None and tendon.tension_noise == 0.0:
+            line = f"WARNING: {tendon.model_file}: no tension_noise is known beside it: noise is"
+            notes[f"{line} taken for tension, and a stuck load cell may not be noticed"] = None
+    return list(notes)

@@ -12,7 +12,6 @@ rig has none; it must be reset before the operator engages again.
 """
 
 import argparse
-from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -44,7 +43,6 @@ from slave.rigs.simulated import SimulatedRigConfig, format_late_effects
 from slave.samples import estimate, fill_sample
 from slave.state_messages import fill_tendon_state
 from slave.telemetry import Telemetry, build_progress_printer
-from slave.tendon_config import TendonConfig
 from slave.warm_up import compile_session
 from teleop.config.arm import assemble_tendon_rows
 from teleop.config.extension_calls import ExtensionFault
@@ -153,7 +151,7 @@ class SlaveProcess(LoopProcess):
         rig_ns = self._finish_tick(tick, time_s, requests)
         work_ns = now_ns() - tick.stamp_ns
         self._meter.without_rig.add(work_ns - rig_ns)
-        self._meter.tick(self._outline(), work_ns, self._telemetry.detail)
+        self._meter.add_tick(self._outline(), work_ns, self._telemetry.detail)
 
     def close(self) -> None:
         """Publish that the slave no longer moves the rig, however the loop ended."""
@@ -402,7 +400,7 @@ def _load_rig_model(
             model_files.set_noise_from_data(tendon, *rig.housing[k])
             for k, tendon in enumerate(tendons)
         )
-    notes = describe_models(tendons)
+    notes = model_files.describe_models(tendons)
     if files and (config.tendons or config.calibration):
         notes += model_files.find_friction_warnings(
             load_tendon_configs(config, rig.tendons, rig.joints), tendons
@@ -477,15 +475,3 @@ def stop_motors(rig: Rig, reason: str) -> None:
             emergency_stop()
         except RigFault as error:
             raise TeleopError(f"{reason}; rig: {error}") from error
-
-
-def describe_models(tendons: Sequence[TendonConfig]) -> list[str]:
-    """Return what the models of diagnoses do in the loop, with warnings, as lines."""
-    notes: dict[str, None] = {}
-    for tendon in tendons:
-        for sentence in model_files.describe_effects(tendon):
-            notes[f"{tendon.model_file}: {sentence}"] = None
-        if tendon.model_file is not None and tendon.tension_noise == 0.0:
-            line = f"WARNING: {tendon.model_file}: no tension_noise is known beside it: noise is"
-            notes[f"{line} taken for tension, and a stuck load cell may not be noticed"] = None
-    return list(notes)

@@ -71,7 +71,7 @@ class LoopMeter:
         self._side: SessionOutline | None = None
         self._reason = self._not_usable = DetailedReason(Reason.NOT_USABLE)
 
-    def tick(self, side: SessionOutline, work_ns: int, detail: str = "") -> None:
+    def add_tick(self, side: SessionOutline, work_ns: int, detail: str = "") -> None:
         """Add one tick that left the session at `side` and took `work_ns` [ns].
 
         `detail` of the session's reason: which tendon, or why it is not usable.
@@ -103,7 +103,7 @@ class LoopMeter:
         self._due_ns += periods * REPORT_PERIOD_NS
         return True
 
-    def report(
+    def build_report(
         self,
         stamp_ns: int,
         side: SessionOutline,

@@ -200,7 +200,7 @@ class LoopProcess(ABC):
 
     def _publish_report(self, counts: MessageCounts, ended: bool = False) -> None:
         sent = self._link.list_last_sequences()
-        report = self._meter.report(now_ns(), self._outline(), counts, sent, ended)
+        report = self._meter.build_report(now_ns(), self._outline(), counts, sent, ended)
         self._link.publish(REPORT, report)
 
     def _publish_refusals(self, counts: MessageCounts) -> None:

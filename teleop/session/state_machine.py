@@ -251,12 +251,12 @@ def to_known_state(number: int) -> int:
 
 
 @jit_compile
-def is_switch_closed(master: int) -> bool:
+def is_switch_closed(master_state: int) -> bool:
     """Return whether the switch counts as closed for a slave whose master is in this state.
 
     At FAULT, HOLDING or STOPPED the master has not seen the switch open.
     """
-    return master not in (State.OFF, State.READY)
+    return master_state not in (State.OFF, State.READY)
 
 
 @jit_compile
@@ -426,16 +426,17 @@ def _step_holding(session: Session, inputs: SessionInputs, dt: float) -> None:
 
 @jit_compile
 def _change_state(session: Session, inputs: SessionInputs, dt: float) -> None:
+    """Enter the next state; a stop or a fault that lasts keeps its first reason."""
     if inputs.stop != Reason.NONE:
-        first = session.reason if session.state == State.STOPPED else inputs.stop
-        _enter_state(session, State.STOPPED, first)
+        reason = session.reason if session.state == State.STOPPED else inputs.stop
+        _enter_state(session, State.STOPPED, reason)
     elif inputs.fault == Reason.RIG_FINISHED:
         _enter_state(session, State.OFF, inputs.fault)
     elif session.state == State.STOPPED and not inputs.reset:
         return
     elif inputs.fault != Reason.NONE:
-        first = session.reason if session.state == State.FAULT else inputs.fault
-        _enter_state(session, State.FAULT, first)
+        reason = session.reason if session.state == State.FAULT else inputs.fault
+        _enter_state(session, State.FAULT, reason)
     elif session.state in (State.ENGAGED, State.CLUTCHED):
         _step_coupled(session, inputs, dt)
     elif session.state == State.HOLDING:

@@ -12,7 +12,6 @@ from estimator.effects import CATALOGUE, NAMES
 from estimator.online.extended_model import build_extended_model
 from slave import model_files
 from slave.config import SlaveConfig, load_tendon_configs
-from slave.process import describe_models
 from slave.tendon_config import TendonConfig
 from studies import hidden_effects
 from teleop.cli import commands
@@ -166,14 +165,14 @@ def test_one_tendon_of_several_gets_its_own(file, tmp_path):
 
 
 def test_the_slave_says_what_it_does_with_each_effect(file):
-    said = describe_models([TendonConfig(model_file=file, tension_noise=0.01)] * 2)
+    said = model_files.describe_models([TendonConfig(model_file=file, tension_noise=0.01)] * 2)
     assert [line.removeprefix(f"{file}: ") for line in said] == [
         "creep is run beside the law",
         "constant_drag is in the friction and shape of the sheath",
         "tip_moved (and left it there) is left out: it belongs to the record it was found in",
     ]
-    assert describe_models([TendonConfig(effective_friction=0.5)]) == []
-    assert describe_models([TendonConfig(model_file=file)])[-1].startswith("WARNING")
+    assert model_files.describe_models([TendonConfig(effective_friction=0.5)]) == []
+    assert model_files.describe_models([TendonConfig(model_file=file)])[-1].startswith("WARNING")
 
 
 def test_a_model_of_another_sheath_is_a_warning(file):

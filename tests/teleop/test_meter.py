@@ -32,7 +32,7 @@ def test_the_rate_is_that_of_the_span_reported():
     rates = []
     for seconds, ticks in ((1, 250), (2, 500)):
         stats.ticks += ticks
-        report = loop.report(start + seconds * 1000 * MS, SessionOutline(), MessageCounts())
+        report = loop.build_report(start + seconds * 1000 * MS, SessionOutline(), MessageCounts())
         rates.append(report.rate_hz)
     assert rates == [250.0, 500.0]
 
@@ -57,7 +57,7 @@ WHERE = "joint 2, tendon b"
 def test_a_fault_ends_a_session_unless_somebody_engages_again(sides, ended):
     loop = LoopMeter(Role.SLAVE, TickStats())
     for side in sides:
-        loop.tick(side, 0, WHERE if side is BROKEN else "")
+        loop.add_tick(side, 0, WHERE if side is BROKEN else "")
     summary = loop.build_summary(sides[-1], MessageCounts(), {}, NO_LINK)
     fault = Reason.TENDON_BROKEN, WHERE
     assert summary.ended_in == (fault if ended else None)
@@ -66,9 +66,9 @@ def test_a_fault_ends_a_session_unless_somebody_engages_again(sides, ended):
 
 def test_why_a_side_was_not_usable_is_remembered():
     loop = LoopMeter(Role.SLAVE, TickStats())
-    loop.tick(SessionOutline(), 0, "no calibration fits")
+    loop.add_tick(SessionOutline(), 0, "no calibration fits")
     finished = SessionOutline(State.OFF, Reason.RIG_FINISHED)
-    loop.tick(finished, 0)
+    loop.add_tick(finished, 0)
     summary = loop.build_summary(finished, MessageCounts(), {}, NO_LINK)
     assert summary.not_usable == (Reason.NOT_USABLE, "no calibration fits")
     assert summary.reason == (Reason.RIG_FINISHED, "")
