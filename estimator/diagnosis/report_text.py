@@ -59,7 +59,9 @@ def format_headline(diagnosis: Diagnosis) -> str:
     causes = [f"{step.effect.cause}{_format_size(diagnosis, step)}" for step in diagnosis.steps]
     count = ("One thing is", "Two things are", "Three things are")[min(len(causes), 3) - 1]
     ambiguity = ", or what looks the same" * (diagnosis.verdict is Verdict.AMBIGUOUS)
-    return f"{count} wrong: {', and '.join(causes)}{ambiguity}."
+    sheath = "Nothing of a sheath is seen, no friction that grows with the tension. "
+    remark = sheath * is_frictionless(diagnosis)
+    return f"{remark}{count} wrong: {', and '.join(causes)}{ambiguity}."
 
 
 def is_frictionless(diagnosis: Diagnosis) -> bool:

@@ -69,7 +69,7 @@ class Settings:
     foreign_share_stop: float = 0.6  # that the base law and all first fits leave: the search ends
 
     # of a tension, that friction takes at least where a sheath is seen at all
-    friction_share_min: float = 0.01
+    friction_share_min: float = 0.02  # twice the least K that is tried
     # by which share a learned model's error is surely lower, so that the law misses something
     learned_gain_min: float = 0.05
 

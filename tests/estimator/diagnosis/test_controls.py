@@ -43,6 +43,14 @@ def test_a_wire_on_a_spring_shows_no_sheath(friction):
         assert "of a plain spring the data would look the same" in report_text.format_verdict(found)
 
 
+def test_a_damped_spring_shows_no_sheath():
+    travel = 5e-3 * (1.0 - np.cos(2.0 * np.pi * 0.4 * TIME))
+    tension = 5.0 + 2000.0 * travel + 80.0 * np.gradient(travel, TIME)
+    found = diagnosed(proximal_tension=tension, proximal_displacement=travel)
+    assert found.causes == ("viscous_friction",)
+    assert report_text.format_headline(found).startswith("Nothing of a sheath is seen, no friction")
+
+
 def test_what_the_time_limit_left_out_is_said():
     travel = 2e-3 * (1.0 + np.sin(2.0 * np.pi * 0.3 * TIME))
     tension = 3000.0 * travel * (1.0 + 0.2 * np.sin(TIME)) + 1.0
