@@ -155,8 +155,9 @@ def test_a_failure_is_named_and_the_motors_stop(board, cause, said):
         engage(rig, moving(board))
         for name, value in cause.items():
             setattr(board, name, value)
+        rig.announce_pause()  # a busy machine may keep this process from writing in time
         with pytest.raises(RigFault, match=said):
-            read_for(rig, 5.0, [0.0, 0.0])
+            read_for(rig, 5.0)
         assert board.ended or wait_until(lambda: not board.flags & ENABLED)
 
 
