@@ -81,20 +81,20 @@ class State(NamedTuple):
     body: np.ndarray  # speed and acceleration of the tip
 
 
-def lay(sections, friction, stiffness, *, beads=120, antagonist=None):
+def build_line(sections, friction, stiffness, *, beads=120, antagonist=None):
     """Return a line through `sections` of (length, angle); `antagonist`: (sections, tension)."""
-    length, angle = _springs(sections, beads)
+    length, angle = _divide_sheath(sections, beads)
     tip, behind = len(angle) + 1, 0.0
     angle = np.concatenate([[0.0], angle, [0.0]])
     if antagonist is not None:
         further, behind = antagonist
-        more, bends = _springs(further, beads // 2)
+        more, bends = _divide_sheath(further, beads // 2)
         length = np.concatenate([length, more])
         angle = np.concatenate([angle, bends, [0.0]])
     return Line(length, friction * angle, tip, stiffness, behind)
 
 
-def _springs(sections, beads):
+def _divide_sheath(sections, beads):
     """Return spring lengths and bead angles, each bead in the middle of its piece of sheath.
 
     Pieces grow from the driven end: after a reversal the tension there changes with the root of the
@@ -107,7 +107,7 @@ def _springs(sections, beads):
     return np.append(half, 0.0) + np.insert(half, 0, 0.0), np.diff(angle)
 
 
-def at_rest(line, law, tip, tension=0.0):
+def build_resting_state(line, law, tip, tension=0.0):
     """Return the state of a line with one tension from housing to tip."""
     n = len(line.friction)
     start = np.full(n - 1, tension)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from studies.hidden_effects.chain import Law, at_rest, step
+from studies.hidden_effects.chain import Law, build_resting_state, step
 
 CORNER = 0.15  # [s] in which the motor changes its speed
 SLACK = -0.08  # of full travel, where there is no tension for sure
@@ -68,16 +68,16 @@ def draw_legs(rng):
     return [*swing, *(leg for block in blocks for leg in block), *swing]
 
 
-def rehearse(line, tip, legs):
+def rehearse_legs(line, tip, legs):
     """Return the motor's travel [m] at the start and the end of each leg, and the full travel.
 
     Full travel is that of a pull to 20 N. `line` has no effects.
     """
     law = Law()
-    state = at_rest(line, law, tip)
+    state = build_resting_state(line, law, tip)
     begin = state.x[0]
     full = _pull_to(line, law, tip, state, 20.0, 2e-5) - begin
-    state = at_rest(line, law, tip)
+    state = build_resting_state(line, law, tip)
     ends = [begin]
     for leg in legs:
         if leg.tension is None:
@@ -90,9 +90,9 @@ def rehearse(line, tip, legs):
     return np.array(ends), full
 
 
-def arriving(line, tip):
+def compute_arriving_tension(line, tip):
     """Return the tension at the tip when the first pull reaches 20 N at the housing."""
-    state = at_rest(line, Law(), tip)
+    state = build_resting_state(line, Law(), tip)
     _pull_to(line, Law(), tip, state, 20.0, 2e-5)
     return state.tension[line.tip - 1]
 
@@ -113,7 +113,7 @@ def _pull_to(line, law, tip, state, tension, pace):
             return x + direction * pace * share
 
 
-def schedule(legs, ends, full, duration):
+def build_schedule(legs, ends, full, duration):
     """Return the way through `ends`, from where the first leg begins, in so many seconds.
 
     Rests stay as long as they are unless they fill the record; the speeds give way.
@@ -129,7 +129,7 @@ def schedule(legs, ends, full, duration):
     return Schedule(times, np.repeat(ends, 2), holds)
 
 
-def trace(way, time, start, more):
+def trace_motor(way, time, start, more):
     """Return the motor's travel [m] at `time` [s]: from `start`, then `more` than the schedule."""
     corner = max(1, round(CORNER / time[1]))
     early = np.arange(-corner, 0) * time[1]

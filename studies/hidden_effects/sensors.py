@@ -62,7 +62,7 @@ def rubbing(force, give):
     return lambda _t, y, q: y + force * (q - play(q, 2 * give)) / give
 
 
-def measured(rng, y, *, noise=0.0, resolution=0.0, ceiling=np.inf):
+def measure_channel(rng, y, *, noise=0.0, resolution=0.0, ceiling=np.inf):
     """Return the reading with white noise, no more than `ceiling`, in whole steps."""
     y = np.minimum(y + noise * rng.standard_normal(len(y)), ceiling)
     return resolution * np.round(y / resolution) if resolution else y

@@ -7,9 +7,17 @@ from functools import lru_cache
 import numpy as np
 
 from studies.hidden_effects import motion
-from studies.hidden_effects.chain import BLOCKED, SPRUNG, Law, Tip, at_rest, lay, run
+from studies.hidden_effects.chain import (
+    BLOCKED,
+    SPRUNG,
+    Law,
+    Tip,
+    build_line,
+    build_resting_state,
+    run,
+)
 from studies.hidden_effects.effects import EFFECTS, OUTSIDE, Plant, Scene, fresh
-from studies.hidden_effects.sensors import measured
+from studies.hidden_effects.sensors import measure_channel
 
 CHANNELS = ("proximal_tension", "proximal_displacement", "distal_tension", "distal_displacement")
 JUST_SEEN = {"tension": 0.02, "displacement": 4e-6}  # [N], [m]
@@ -48,10 +56,10 @@ class Bench:
         if plant.antagonist is not None:
             length, K, tension = plant.antagonist
             antagonist = ([(length, K)], tension)
-        line = lay(plant.sections, 1.0, self.EA, antagonist=antagonist)
-        state = at_rest(line, plant.law, plant.tip, plant.pretension)
+        line = build_line(plant.sections, 1.0, self.EA, antagonist=antagonist)
+        state = build_resting_state(line, plant.law, plant.tip, plant.pretension)
         t, zero = self.time, np.zeros(len(self.time))
-        motor = motion.trace(self.ways, t, state.x[0], plant.law.slack)
+        motor = motion.trace_motor(self.ways, t, state.x[0], plant.law.slack)
         scale = zero + 1.0
         for factor in plant.scales:
             scale = scale * factor(t, motor)
@@ -77,12 +85,12 @@ def draw_bench(seed, kind, duration, rate):
     rng = np.random.default_rng([seed, ("blocked", "spring").index(kind)])
     L, K, EA = rng.uniform(1.0, 2.0), rng.uniform(0.4, 1.6), rng.uniform(5e3, 15e3)
     tip, legs = Tip(BLOCKED), motion.draw_legs(rng)
-    line = lay([(L, K)], 1.0, EA)
+    line = build_line([(L, K)], 1.0, EA)
     if kind == "spring":
-        arrives = motion.arriving(line, tip)
+        arrives = motion.compute_arriving_tension(line, tip)
         tip = Tip(SPRUNG, stiffness=arrives / rng.uniform(3e-3, 7e-3))
-    ends, full = motion.rehearse(line, tip, legs)
-    ways = motion.schedule(legs, ends, full, duration)
+    ends, full = motion.rehearse_legs(line, tip, legs)
+    ways = motion.build_schedule(legs, ends, full, duration)
     time = np.arange(round(duration * rate)) / rate
     there = Bench(kind, K, L, EA, tip, ways, full, time)
     clean = Plant([(L, K)], Law(), tip)
@@ -112,12 +120,12 @@ def make(
     sheath = {"K": there.K, "EA": there.EA, "L": there.L, "k": there.tip.stiffness}
     truth = {"sheath": sheath}
     for name in effects:
-        one = (EFFECTS | OUTSIDE)[name]
-        if bench not in one.benches:
+        effect = (EFFECTS | OUTSIDE)[name]
+        if bench not in effect.benches:
             raise ValueError(f"{name}: there is none on a bench with a {bench} tip")
-        parameters = sized(one, draw_effect(name, seed, bench, duration, rate), size)
-        truth[name] = parameters | (one.act(plant, **parameters) or {})
-        physical |= not one.read
+        parameters = scale_parameters(effect, draw_effect(name, seed, bench, duration, rate), size)
+        truth[name] = parameters | (effect.act(plant, **parameters) or {})
+        physical |= not effect.read
     if physical:
         true, heat = there.run(plant)
     readings = there.read(plant, true)
@@ -130,7 +138,7 @@ def make(
             else {"noise": travel_noise, "resolution": resolution}
         )
         ceiling = plant.ceilings.get(channel, np.inf)
-        y = measured(rng, readings[channel], ceiling=ceiling, **kind)
+        y = measure_channel(rng, readings[channel], ceiling=ceiling, **kind)
         if channel in channels:
             seen[channel] = y
     further = {
@@ -144,9 +152,9 @@ def make(
     return Hidden(there.time, seen, truth, heat, further, friction)
 
 
-def sized(one, parameters, size):
+def scale_parameters(effect, parameters, size):
     """Return the parameters of an effect with those that are its size multiplied."""
-    return {n: v * size if n in one.sized else v for n, v in parameters.items()}
+    return {n: v * size if n in effect.sized else v for n, v in parameters.items()}
 
 
 @lru_cache(maxsize=128)
@@ -157,21 +165,21 @@ def draw_effect(name, seed, bench, duration, rate):
     """
     there, clean, true, _ = draw_bench(seed, bench, duration, rate)
     scene = Scene(bench, duration, there.ways.holds, there.full, there.L, there.tip.stiffness, true)
-    one = (EFFECTS | OUTSIDE)[name]
-    drawn = one.draw(np.random.default_rng([seed, zlib.crc32(name.encode())]), scene)
+    effect = (EFFECTS | OUTSIDE)[name]
+    drawn = effect.draw(np.random.default_rng([seed, zlib.crc32(name.encode())]), scene)
     total = 1.0
     for _ in range(4):
         plant = fresh(clean)
-        one.act(plant, **sized(one, drawn, total))
-        changed = there.read(plant, true if one.read else there.run(plant)[0])
-        strength = visible(changed, true)
+        effect.act(plant, **scale_parameters(effect, drawn, total))
+        changed = there.read(plant, true if effect.read else there.run(plant)[0])
+        strength = compute_visibility(changed, true)
         if strength >= ENOUGH or total >= MOST:
             break
         total = min(MOST, total * 1.1 * ENOUGH / max(strength, 1.0))
-    return sized(one, drawn, total)
+    return scale_parameters(effect, drawn, total)
 
 
-def visible(changed, true):
+def compute_visibility(changed, true):
     """Return by how many times what can just be seen the channels differ, where they do."""
     most = 0.0
     for channel in CHANNELS:

@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 
 from studies.hidden_effects import CHANNELS, VISIBLE, make, motion
-from studies.hidden_effects.chain import SPRUNG, Law, Tip, at_rest, lay, run, step
-from studies.hidden_effects.session import JUST_SEEN, draw_bench, visible
+from studies.hidden_effects.chain import (
+    SPRUNG,
+    Law,
+    Tip,
+    build_line,
+    build_resting_state,
+    run,
+    step,
+)
+from studies.hidden_effects.session import JUST_SEEN, compute_visibility, draw_bench
 
 QUICK = {"duration": 30.0, "rate": 20.0}
 EXACT = {"noise": 0.0, "resolution": 0.0}
@@ -36,8 +44,8 @@ def wandering(tip, count, seed=4):
 
 @pytest.mark.parametrize("tip", TIPS)
 def test_every_node_is_in_balance_and_every_bead_obeys_coulomb(tip):
-    line = lay([(L / 3, K / 2), (2 * L / 3, K / 2)], 1.0, EA, beads=40)
-    state = at_rest(line, Law(), tip)
+    line = build_line([(L / 3, K / 2), (2 * L / 3, K / 2)], 1.0, EA, beads=40)
+    state = build_resting_state(line, Law(), tip)
     outside = conditions(wandering(tip, 300))
     slid = set()
     for before, after in pairwise(outside):
@@ -63,9 +71,9 @@ def test_more_beads_change_less_than_two_millinewtons(bench):
     there, clean, _, _ = draw_bench(3, bench, **QUICK)
     tensions = {}
     for beads in (30, 60, 120, 360):
-        line = lay(clean.sections, 1.0, there.EA, beads=beads)
-        state = at_rest(line, Law(), there.tip)
-        motor = motion.trace(there.ways, there.time, state.x[0], 0.0)
+        line = build_line(clean.sections, 1.0, there.EA, beads=beads)
+        state = build_resting_state(line, Law(), there.tip)
+        motor = motion.trace_motor(there.ways, there.time, state.x[0], 0.0)
         out = run(line, Law(), there.tip, state, conditions(motor), there.time[1], 1)
         tensions[beads] = out[:, [0, 2]]
     errors = [np.abs(tensions[beads] - tensions[360]).max() for beads in (30, 60, 120)]
@@ -78,7 +86,7 @@ def test_an_effect_shows_at_full_size_and_is_gone_without(name, bench):
     clean = make(1, (), bench=bench, **QUICK, **EXACT)
     full = make(1, name, bench=bench, **QUICK, **EXACT)
     none = make(1, name, size=0.0, bench=bench, **QUICK, **EXACT)
-    assert visible(full.channels, clean.channels) > 5.0
+    assert compute_visibility(full.channels, clean.channels) > 5.0
     for channel in CHANNELS:
         np.testing.assert_allclose(
             none.channels[channel],
