@@ -113,6 +113,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     With `--dist loadfile` it decides nothing: a test that ends its worker has failed.
     """
     if hasattr(session.config, "workerinput"):
+        session.config.failures_db.sock.close()
         session.config.failures_db = StatusDB()
 
 
