@@ -1,6 +1,6 @@
 from slave.rigs.virtual_bench import BenchRun, MotionScale, make_spring_bench, simulate
 from teleop.config.arm import load_arm
-from teleop.data.recording_table import DataTable, RecordedEvent, read_table
+from teleop.data.recording_table import RecordedEvent, RecordingTable, read_recording
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.experiment.design import BayesianAdaptive, ConstantStimuli, Design, Staircase, Trial
 from teleop.experiment.psychometric import draw_psychometric, fit_psychometric
@@ -16,7 +16,6 @@ __all__ = [
     "BenchRun",
     "ButtonObserver",
     "ConstantStimuli",
-    "DataTable",
     "Design",
     "Experiment",
     "KeyObserver",
@@ -24,6 +23,7 @@ __all__ = [
     "PeerError",
     "Progress",
     "RecordedEvent",
+    "RecordingTable",
     "Session",
     "SessionClient",
     "SessionConfig",
@@ -39,7 +39,7 @@ __all__ = [
     "load_arm",
     "load_config",
     "make_spring_bench",
-    "read_table",
+    "read_recording",
     "read_trials",
     "run_experiment",
     "simulate",

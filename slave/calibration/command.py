@@ -18,9 +18,10 @@ when the sheaths have been moved. Method and error messages: docs/how-to/calibra
 
 import argparse
 import sys
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -144,14 +145,12 @@ def main(args: argparse.Namespace) -> int:
                 progress=build_progress_bar(rig)
                 if sys.stderr.isatty()
                 else build_progress_printer(rig),
-                analysing=stop.allow_interrupt,
+                analysing=partial(_announce_analysis, stop),
                 arms=shared.arms,
             )
         except CalibrationInterrupted as error:
             error.exit_code = stop.exit_code or error.exit_code
             raise
-        if sys.stderr.isatty():
-            print(file=sys.stderr)
     calibration_file.save(out, result.calibration)
     if figure is not None:
         save_figure(figure(result.record, result.calibration), args.figure, dpi=150)
@@ -201,6 +200,18 @@ def load_earlier_calibration(config: SlaveConfig, required: bool) -> Calibration
         if required:
             raise
         return None
+
+
+@contextmanager
+def _announce_analysis(stop: StopCondition) -> Iterator[None]:
+    """Say that the motors have been driven, and let a signal end the computation."""
+    with suppress(OSError):  # what cannot be printed costs no calibration
+        print(
+            "\n" * sys.stderr.isatty() + "computing friction and stiffness of each tendon ...",
+            file=sys.stderr,
+        )
+    with stop.allow_interrupt():
+        yield
 
 
 def build_progress_bar(rig: Rig) -> Callable[[ProcedureProgress], None]:

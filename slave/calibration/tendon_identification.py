@@ -326,9 +326,11 @@ def _fit_loops(
             for loop in loops
         ]
     except CalibrationError as error:
+        is_single = len(pulled.record.joints[pulled.joint]) == 1
+        other = "the spring holds it there" if is_single else "the other tendon is not jammed"
         raise CalibrationRefused(
             f"{pulled.name}: {error}; check that the joint rests against its stop, that the tip "
-            "does not press on something soft, and that the other tendon is not jammed"
+            f"does not press on something soft, and that {other}"
         ) from error
     best, loop = min(zip(calibrations, loops, strict=True), key=lambda pair: pair[0].K.uncertainty)
     lowest = max(float(np.quantile(loop.tension, 0.01)), 1e-3 * best.T_peak.value)

@@ -237,7 +237,10 @@ def _find_unit_factor(
         return unit, scale * factors[unit]
     option = _name_option(channel, units)
     first = next(iter(factors))
-    remedy = f"its unit can be given as in --column '{option}={name}[SCALE {first}]'"
+    remedy = (
+        f"its unit can be given by how many {first} it is, as in --column "
+        f"'{option}={name}[SCALE {first}]'"
+    )
     if unit and (brackets or unit not in _AMBIGUOUS_UNITS):
         raise UsageError(
             f"{path}: column {name!r} is in {unit}, and is given as {channel.replace('_', ' ')}, "

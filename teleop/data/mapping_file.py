@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from estimator.units import Units
+from teleop.config import strict_yaml
 from teleop.config.loading import ConfigDocument
 from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.data import standard_columns
@@ -96,7 +97,9 @@ def load_mapping(args: argparse.Namespace) -> TableMapping:
 
 def read_mapping(path: Path | None) -> TableMapping:
     """Return what a mapping file says, the defaults without one; `UsageError`."""
-    return TableMapping() if path is None else ConfigDocument.read(path).load(TableMapping)
+    if path is None:
+        return TableMapping()
+    return ConfigDocument(path, strict_yaml.read_text(path, "mapping file")).load(TableMapping)
 
 
 def map_columns(tendons: Sequence[Columns], mapping: TableMapping) -> tuple[Columns, ...]:

@@ -74,8 +74,8 @@ class RecordedEvent:
 
 
 @dataclass(frozen=True, eq=False)
-class DataTable(Mapping[str, NDArray[Any]]):
-    """A table as a mapping of column name to array, shape (rows,); `read_table` reads one.
+class RecordingTable(Mapping[str, NDArray[Any]]):
+    """A table as a mapping of column name to array, shape (rows,); `read_recording` reads one.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class DataTable(Mapping[str, NDArray[Any]]):
         return int(self.arrow.num_columns)
 
     def __repr__(self) -> str:
-        return f"DataTable({self.path}: {self.arrow.num_rows} rows of {', '.join(self)})"
+        return f"RecordingTable({self.path}: {self.arrow.num_rows} rows of {', '.join(self)})"
 
     def to_numpy(self) -> dict[str, NDArray[Any]]:
         """Return all columns as arrays."""
@@ -128,17 +128,17 @@ class DataTable(Mapping[str, NDArray[Any]]):
         return _import_library("polars").from_arrow(self.arrow)
 
 
-def read_table(
+def read_recording(
     path: Path | str,
     columns: Collection[str] | None = None,
     *,
     begin_s: float | None = None,
     end_s: float | None = None,
     rate_hz: float | None = None,
-) -> DataTable:
+) -> RecordingTable:
     """Read a recording, or another file of measured data, into a table.
 
-    What a recording lacks is told in lines on standard error, and in `DataTable.doubts`.
+    What a recording lacks is told in lines on standard error, and in `RecordingTable.doubts`.
 
     Parameters
     ----------
@@ -174,15 +174,15 @@ def read_table(
     doubts = batches.list_doubts()
     for line in doubts:
         print_warning(line)
-    return DataTable(path, pa.Table.from_batches(parts), batches.list_events(), tuple(doubts))
+    return RecordingTable(path, pa.Table.from_batches(parts), batches.list_events(), tuple(doubts))
 
 
 @dataclass
 class RecordingBatches:
-    """The rows of a recording, in parts; iterate over it once. Parameters as of `read_table`.
+    """The rows of a recording, in parts; iterate over it once. Parameters as of `read_recording`.
 
     Iterating yields `pyarrow.RecordBatch` objects of one schema, each with at least a row; it
-    raises `UsageError` as `read_table` does. A bar shows the progress, on a terminal.
+    raises `UsageError` as `read_recording` does. A bar shows the progress, on a terminal.
 
     Attributes
     ----------
@@ -434,7 +434,7 @@ def _select_columns(
 
 def _read_measured_data(
     path: Path, columns: Collection[str] | None, begin_s: float | None, end_s: float | None
-) -> DataTable:
+) -> RecordingTable:
     """Read a table, or a bag; its text is of strings."""
     import pyarrow as pa
 
@@ -454,7 +454,9 @@ def _read_measured_data(
         since = since - since[:1]
         kept = (since >= begin) & (since < end)
     arrays = {name: read[name][kept] for name in _select_columns(path, read, columns)}
-    return DataTable(path, pa.table({k: pa.array(v, from_pandas=False) for k, v in arrays.items()}))
+    return RecordingTable(
+        path, pa.table({k: pa.array(v, from_pandas=False) for k, v in arrays.items()})
+    )
 
 
 def _import_library(name: str) -> Any:

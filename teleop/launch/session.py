@@ -29,6 +29,7 @@ from teleop.launch.console import Console
 from teleop.launch.launcher import LaunchPlan, build_rig_overrides, plan_session, run_session
 from teleop.link import Link
 from teleop.remote.client import SessionClient
+from teleop.runtime.output_file import SharedFolder, parse_output
 from teleop.runtime.process import StopCondition, defer_interrupt
 from teleop.runtime.status_line import StatusLine
 from teleop.session.config import ENDPOINT_KEYS
@@ -120,7 +121,7 @@ class Session(SessionClient):
         self._plan = LaunchPlan(
             document=document,
             config=self.config,
-            record=_to_path(record),
+            record=None if record is None else parse_output(SharedFolder(), "record", str(record)),
             view=view,
             models=tuple(models),
             allow_imports=is_object,

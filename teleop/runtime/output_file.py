@@ -120,6 +120,13 @@ class NewFolder(OutputPath):
 class SharedFolder(OutputPath):
     """A folder to which files are added, each under a name that no other has."""
 
+    def __call__(self, text: str) -> Any:
+        """Return the path; the name of a file is a mistake."""
+        path = super().__call__(text)
+        if path.suffix == ".mcap" and not path.is_dir():
+            raise argparse.ArgumentTypeError(f"{text!r} is named like a file; name a folder for it")
+        return path
+
     def require(self, path: Path, force: bool, inputs: list[Path]) -> None:
         """Raise `UsageError` for a file."""
         if path.exists() and not path.is_dir():

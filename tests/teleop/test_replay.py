@@ -163,7 +163,8 @@ def test_a_replay_and_a_real_loop_never_share_a_session(recording, refused):
     [
         ("replay {path} --speed 0", "--speed 0"),
         ("replay nothing.mcap", "nothing.mcap: cannot be read"),
-        ("record --out {path}", "is a file; name a folder"),
+        ("record --out {path}", "name a folder"),
+        ("record --out new.mcap", "'new.mcap' is named like a file; name a folder for it"),
     ],
 )
 def test_a_wrong_call_gets_one_line(recording, words, said, refused):

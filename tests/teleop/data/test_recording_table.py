@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from teleop import read_table
+from teleop import read_recording
 from teleop.cli import commands
 from teleop.data import recording_table
 from teleop.errors import UsageError
@@ -43,13 +43,13 @@ def test_a_row_has_what_was_received_before_its_state(tmp_path, monkeypatch, par
     expected = expect_rows(path)
     assert np.isnan(expected[0]["command_age_s"])
     assert sum(";" in row["event"] for row in expected) > 5
-    assert_rows(read_table(path), expected)
+    assert_rows(read_recording(path), expected)
 
 
 @pytest.mark.parametrize("part", [70, 100_000])
 def test_range_and_rate_choose_rows_and_lose_no_event(recording, monkeypatch, part):
     monkeypatch.setattr(recording_table, "PART_MESSAGES", part)
-    table = read_table(recording, begin_s=0.1, end_s=0.35, rate_hz=100.0)
+    table = read_recording(recording, begin_s=0.1, end_s=0.35, rate_hz=100.0)
     expected, texts, period = [], [], -1
     rows = expect_rows(recording)
     for row in rows:
@@ -70,7 +70,7 @@ def test_range_and_rate_choose_rows_and_lose_no_event(recording, monkeypatch, pa
 
 
 def test_events_are_a_table_of_their_own(recording):
-    table = read_table(recording)
+    table = read_recording(recording)
     assert [event.text for event in table.events] == list(EVENTS.values())
     assert {(event.role, event.state, event.reason) for event in table.events} == {
         ("master", "engaged", "none")
@@ -87,7 +87,7 @@ def test_of_a_truncated_recording_the_rows_before_the_end_are_read(recording, tm
     path = tmp_path / "cut.mcap"
     content = recording.read_bytes()
     path.write_bytes(content[: len(content) // 2])
-    table = read_table(path)
+    table = read_recording(path)
     (doubt,) = table.doubts
     assert f"{path}: is truncated" in doubt
     assert doubt in capsys.readouterr().err
@@ -109,16 +109,16 @@ def test_every_conversion_says_what_a_recording_lacks(recording, tmp_path, capsy
 
 
 def test_columns_are_chosen_by_name(recording):
-    whole, table = read_table(recording), read_table(recording, ["force_0_N", "time_s"])
+    whole, table = read_recording(recording), read_recording(recording, ["force_0_N", "time_s"])
     assert list(table) == ["force_0_N", "time_s"]
     np.testing.assert_array_equal(table["force_0_N"], whole["force_0_N"])
     with pytest.raises(UsageError, match=r"no column 'force_0'; did you mean 'force_0_N'\?"):
-        read_table(recording, ["force_0"])
+        read_recording(recording, ["force_0"])
 
 
 def test_data_frames_have_the_same_values(recording):
     pandas, polars = pytest.importorskip("pandas"), pytest.importorskip("polars")
-    table = read_table(recording)
+    table = read_recording(recording)
     frame, other = table.to_pandas(), table.to_polars()
     assert isinstance(frame.slave_state.dtype, pandas.CategoricalDtype)
     assert isinstance(other["slave_state"].dtype, polars.Categorical | polars.Enum)
@@ -138,7 +138,7 @@ def test_data_frames_have_the_same_values(recording):
 def test_a_missing_library_is_one_line_with_its_remedy(recording, monkeypatch, name):
     monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(UsageError, match=f"^{name} is not installed: pip install {name}$"):
-        getattr(read_table(recording), f"to_{name}")()
+        getattr(read_recording(recording), f"to_{name}")()
 
 
 @pytest.mark.parametrize("suffix", [".parquet", ".csv", ".csv.gz"])
@@ -148,7 +148,7 @@ def test_a_written_table_says_the_same(recording, tmp_path, monkeypatch, capsys,
     words = ["recordings", "to-table", str(recording), "--out", str(out)]
     assert commands.main([*words, "--from", "0.1", "--to", "0.3"]) == 0
     assert capsys.readouterr().out.startswith(f"wrote {out}: ")
-    table, back = read_table(recording, begin_s=0.1, end_s=0.3), read_table(out)
+    table, back = read_recording(recording, begin_s=0.1, end_s=0.3), read_recording(out)
     assert list(back) == list(table)
     for name, column in table.items():
         if column.dtype == object:
@@ -161,7 +161,7 @@ def test_a_written_table_says_the_same(recording, tmp_path, monkeypatch, capsys,
 def test_measured_data_are_a_table_too(tmp_path):
     path = tmp_path / "bench.csv"
     path.write_text("time_s,proximal_tension_N,note\n5,1,a\n6,2,\n7,3,c\n")
-    table = read_table(path, begin_s=1.0, end_s=2.0)
+    table = read_recording(path, begin_s=1.0, end_s=2.0)
     assert {name: column.tolist() for name, column in table.items()} == {
         "time_s": [6.0],
         "proximal_tension_N": [2.0],
@@ -206,7 +206,7 @@ def test_a_file_that_cannot_be_read_is_one_line_without_another_error_before_it(
         if content is not None:
             path.write_bytes(content)
         with pytest.raises(UsageError, match=re.escape(str(path))) as caught:
-            read_table(path)
+            read_recording(path)
         error = caught.value
         assert "\n" not in str(error)
         assert error.__cause__ is None

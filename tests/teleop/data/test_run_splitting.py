@@ -182,7 +182,7 @@ def test_commands_of_one_record_ask_for_the_run(joined, capsys):
         read_table(joined)
     joined.with_name("x.csv").write_text("\n".join(JOINED["the names come again"][0]))
     with pytest.raises(UsageError, match="line 63: a second run begins here"):
-        teleop.read_table(joined.with_name("x.csv"))
+        teleop.read_recording(joined.with_name("x.csv"))
     words = ["estimate", str(joined), "--config", "configs/demo.yaml"]
     assert main(words) == 2
     assert "--run N" in capsys.readouterr().err
