@@ -26,7 +26,7 @@ REPORTED = 500  # ticks between two reports, when the meters begin new spans
 # of Python's 16 are the scripted hand's, 3 a call of rig or device those that tell a slow one, 2
 # the watch for a suspension; of C's 4 are the tag of a message, 5 another's check
 MASTER_PYTHON, MASTER_C = 64, 51
-SLAVE_PYTHON, SLAVE_C = 32, 31
+SLAVE_PYTHON, SLAVE_C = 34, 31
 WIRE = {COMMAND: 324, STATE: 512, TENDONS: 1460, HAND: 260}  # [B]
 HELD = 50_000  # [B] at once, within a tick of both sides; most of it in one with a report
 KEPT = 10_000, 150  # [B], blocks: from one report to the next; a leak of 20 B a tick would be more
@@ -102,7 +102,7 @@ def test_what_can_be_undone_leaves_the_monitors_which_are_not_copied(
         assert monitors.tobytes() == before
         return result
 
-    for name in ("_step", "_estimate_ahead"):
+    for name in ("_step_slave", "_estimate_ahead"):
         monkeypatch.setattr(session.slave, name, partial(compare, getattr(session.slave, name)))
     for _ in range(20):
         session.tick()

@@ -25,7 +25,7 @@ from teleop.link.roster import GROUP_TOKENS_MAX, PENDING_TOKENS_MAX, Roster
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import STOP, Role
 from teleop.security import CERTIFICATE_ROLES, RIGHTS, CertificateRole, Credentials, Identity
-from teleop.security import credentials as credentials_module
+from teleop.security import identity as identity_module
 from teleop.security.access import build_access_control
 from teleop.security.authority import Authority
 from teleop.security.handshake import Handshake
@@ -325,7 +325,7 @@ def test_a_certificate_that_becomes_valid_is_believed_then(session, monkeypatch)
     session.network.announce(token)
     await_refusals(session.refusals, "UTC on; check the clock")
     later = SimpleNamespace(now=lambda _: now + timedelta(hours=2))
-    monkeypatch.setattr(credentials_module, "datetime", later)
+    monkeypatch.setattr(identity_module, "datetime", later)
     session.roster._show(token, lambda _: None)
     wait_until(lambda: session.is_asked(9))
 
