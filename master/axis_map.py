@@ -10,7 +10,6 @@ joints, and a map creates no energy. Without a map y is h, axis k moves joint k.
 """
 
 import math
-from collections.abc import Sequence
 from typing import Annotated, Protocol
 
 import numpy as np
@@ -20,12 +19,9 @@ from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.structs import I64, Field, Flag, Struct, StructArray, view_struct
 from master import feedback
-from master.config import MasterConfig
 from master.feedback import FeedbackConfig
 from master.hand_input import Axes, HandInput
 from master.mapping_config import AxisMapConfig
-from teleop.config.arm import ArmConfig
-from teleop.errors import UsageError
 from teleop.messages.messages import MAX_JOINTS
 
 
@@ -241,34 +237,3 @@ class AxisMapper:
     ) -> None:
         """Map the hand of this tick."""
         map_axes(self._axis_map, hands, self.mapped_hands, self.maps)
-
-
-def build_mapper(config: MasterConfig, arms: Sequence[ArmConfig], axes: int) -> HandMapper | None:
-    """Return what maps a device of so many axes to the joints, None if axis k moves joint k.
-
-    `UsageError` if the device, the mapping and the arms do not fit.
-    """
-    mapping = config.mapping
-    if mapping is None:
-        return None
-    if isinstance(mapping, AxisMapConfig):
-        for j, joint in enumerate(mapping.joints):
-            if joint.axis is not None and joint.axis >= axes:
-                raise UsageError(
-                    f"master.mapping.joints.{j}.axis: {joint.axis}, but the device has {axes} axes"
-                )
-        return AxisMapper(mapping, config.gate.torque_lever)
-    from master.space_map import SpaceMapper
-
-    count = sum(len(hand.axes) for hand in mapping.hands)
-    if count != axes:
-        raise UsageError(
-            f"master.mapping.hands: their axes are {count}, but the device has {axes}; name each"
-        )
-    if len(mapping.hands) != len(arms) or not all(arm.has_kinematics for arm in arms):
-        raise UsageError(
-            f"master.mapping.hands: {len(mapping.hands)} hands in space need as many arms with "
-            "kinematics (arms.0.urdf or arms.0.sections)"
-        )
-    kinematics = [arm.load_kinematics() for arm in arms]
-    return SpaceMapper(mapping, kinematics, [arm.pulleys for arm in arms], config.gate.torque_lever)

@@ -12,7 +12,7 @@ has been reset too (`teleop stop --reset`). A HID device that is unplugged may b
 """
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from typing import Any, TypeVar
@@ -21,19 +21,21 @@ import numpy as np
 
 from estimator.structs import StructArray, view_struct
 from master import live_settings, loop
-from master.axis_map import HandMapper, VelocityMap, build_mapper
+from master.axis_map import AxisMapper, HandMapper, VelocityMap
 from master.config import MasterConfig
 from master.coupling_extension import HandEnd
 from master.device import Device, DeviceFault, DeviceLost, HandState
 from master.devices import open_device
 from master.gate import GateFlags
 from master.hand_input import HandInput, fill_hand_input
+from master.mapping_config import AxisMapConfig
 from master.settings_record import SettingsRecord
+from teleop.config.arm import ArmConfig
 from teleop.config.extension_calls import ExtensionFault
 from teleop.config.options import add_option, add_options
 from teleop.config.ranges import build_bounds_warnings
 from teleop.coupling import Bilateral, CouplingExtension
-from teleop.errors import TeleopError
+from teleop.errors import TeleopError, UsageError
 from teleop.link import NEVER_NS, LatestMessage, Link
 from teleop.link.health import DEFAULT_BOUNDS, HealthConfig, compile_link_window_update
 from teleop.link.rate_limit import RateLimit
@@ -466,6 +468,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser, "--config", "--set", "--allow-imports", "--insecure", "--duration", "--json"
     )
+
+
+def build_mapper(config: MasterConfig, arms: Sequence[ArmConfig], axes: int) -> HandMapper | None:
+    """Return what maps a device of so many axes to the joints, None if axis k moves joint k.
+
+    `UsageError` if the device, the mapping and the arms do not fit.
+    """
+    mapping = config.mapping
+    if mapping is None:
+        return None
+    if isinstance(mapping, AxisMapConfig):
+        for j, joint in enumerate(mapping.joints):
+            if joint.axis is not None and joint.axis >= axes:
+                raise UsageError(
+                    f"master.mapping.joints.{j}.axis: {joint.axis}, but the device has {axes} axes"
+                )
+        return AxisMapper(mapping, config.gate.torque_lever)
+    from master.space_map import SpaceMapper
+
+    count = sum(len(hand.axes) for hand in mapping.hands)
+    if count != axes:
+        raise UsageError(
+            f"master.mapping.hands: their axes are {count}, but the device has {axes}; name each"
+        )
+    if len(mapping.hands) != len(arms) or not all(arm.has_kinematics for arm in arms):
+        raise UsageError(
+            f"master.mapping.hands: {len(mapping.hands)} hands in space need as many arms with "
+            "kinematics (arms.0.urdf or arms.0.sections)"
+        )
+    kinematics = [arm.load_kinematics() for arm in arms]
+    return SpaceMapper(mapping, kinematics, [arm.pulleys for arm in arms], config.gate.torque_lever)
 
 
 def main(args: argparse.Namespace) -> int:

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from master.axis_map import build_mapper
 from master.config import MasterConfig
 from master.devices import open_device
 from master.devices.virtual import VirtualDevice
-from master.process import MasterProcess
+from master.process import MasterProcess, build_mapper
 from slave import loop
 from slave.config import SlaveConfig, load_tendon_configs
 from slave.process import SlaveProcess
