@@ -404,7 +404,8 @@ EVERYTHING = st.builds(
     gains=st.lists(NUMBER, max_size=3).map(tuple),
     gain=st.one_of(NUMBER, st.lists(NUMBER, max_size=3).map(tuple)),
     mode=st.sampled_from(["position", "rate", 1]),
-    name=st.text() | st.sampled_from(["1e3", "no", "012", "1:30", "null", "0.5", "=", "<<"]),
+    name=st.text()
+    | st.sampled_from(["1e3", "no", "012", "1:30", "null", "0.5", "=", "<<", "a\x85"]),
     folder=st.one_of(st.none(), st.just(Path("/x"))),
     tendons=st.integers(1, 100),
     pretension=NUMBER,
