@@ -130,7 +130,8 @@ def test_ctrl_c_ends_everything(tmp_path, seconds):
     time.sleep(seconds)
     program.send_signal(signal.SIGINT)  # impatience changes nothing
     _, err = program.communicate(timeout=60)
-    assert err.splitlines()[-1] == "KeyboardInterrupt"
+    # a second one as Python ends is raised in whatever that does, and ignored
+    assert err.splitlines()[-1].removesuffix(": ") == "KeyboardInterrupt"
     assert program.returncode == -signal.SIGINT
     assert not any(map(runs, pids))
 
