@@ -6,7 +6,6 @@ with Session("configs/demo.yaml") as session:
         print(state.time, state.force)
 """
 
-import atexit
 import dataclasses
 import io
 import os
@@ -161,7 +160,9 @@ class Session(SessionClient):
                 target=self._run, args=(plan,), name="teleop session", daemon=True
             )
             self._thread.start()
-            atexit.register(self.end)
+            # not `atexit`: that comes after Python has waited for Zenoh's thread of callbacks,
+            # which ends with the link only
+            threading._register_atexit(self.end)  # type: ignore[attr-defined]
             self._has_begun.wait()
             self._require_running()
             self._connect()
@@ -179,7 +180,6 @@ class Session(SessionClient):
             self._wake.set()
             if self._thread is not None and self._thread.ident:  # it was started
                 self._has_ended.wait()
-            atexit.unregister(self.end)
             self._disconnect()
             if self._operator is not None:
                 self._operator.close()

@@ -136,6 +136,19 @@ def test_ctrl_c_ends_everything(tmp_path, seconds):
     assert not any(map(runs, pids))
 
 
+def test_a_session_that_nothing_ends_ends_with_the_program(tmp_path):
+    """As of a notebook that was closed: its callbacks' thread must not keep Python waiting."""
+    body = ENGAGED + "        type(session).__exit__ = lambda *_: None\n"
+    body += '        print("engaged", flush=True)\n        time.sleep(0.5)\n'
+    program = start_program(tmp_path, body)
+    assert program.stdout.readline() == "engaged\n"
+    pids = list_children(program.pid)
+    assert len(pids) == 2
+    program.communicate(timeout=60)
+    assert program.returncode == 0
+    assert not any(map(runs, pids))
+
+
 def test_a_device_of_ones_own_needs_no_entry_point_and_a_killed_child_is_one_line(tmp_path):
     body = ENGAGED + (
         '        print(next(session.blocks(1.0, "hand"))["position"][-1, 0], flush=True)\n'
