@@ -4,7 +4,6 @@ Colours are of Okabe and Ito's set, which readers with any colour vision can tel
 black, and what differs in colour differs in line or mark as well.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import matplotlib as mpl
@@ -36,30 +35,25 @@ SHADES = ("#ffffff", "#eaf3f9", "#ffffff", "#eaf3f9", "#ffffff")  # of the phase
 AXIS_MIN, AXIS_MAX = 1e-3, 30.0  # full scales that the distribution shows
 
 
-def write_figures(shown: Demonstration, outcomes: list[Outcome], folder: Path) -> dict[str, str]:
-    """Write all figures into `folder`; return what to say below each, by file name."""
-    captions = {}
+def write_figures(shown: Demonstration, outcomes: list[Outcome], folder: Path) -> None:
+    """Write all figures into `folder`."""
     with mpl.rc_context(STYLE):
-        for name, (figure, caption) in _draw_figures(shown, outcomes):
-            file = f"experiment-{name}.png"
-            save_figure(figure, folder / file)
-            captions[file] = caption
-    return captions
+        for name, figure in (
+            ("distribution-along", draw_distributions(shown)),
+            ("initialisation", draw_initialisation(shown)),
+            ("tensions", draw_tensions(shown)),
+            ("phases", draw_phases(shown)),
+            ("sheaths", draw_sheath_shares(outcomes)),
+            ("unevenness", draw_unevenness(outcomes)),
+        ):
+            save_figure(figure, folder / f"experiment-{name}.png")
 
 
-def _draw_figures(
-    shown: Demonstration, outcomes: list[Outcome]
-) -> Iterator[tuple[str, tuple[Figure, str]]]:
-    yield "distribution-along", draw_distributions(shown)
-    yield "initialisation", draw_initialisation(shown)
-    yield "tensions", draw_tensions(shown)
-    yield "phases", draw_phases(shown)
-    yield "sheaths", draw_sheath_shares(outcomes)
-    yield "unevenness", draw_unevenness(outcomes)
+def draw_distributions(shown: Demonstration) -> Figure:
+    """Draw figure 4: the tension along the sheath while the housing lets go.
 
-
-def draw_distributions(shown: Demonstration) -> tuple[Figure, str]:
-    """Draw figure 4: the tension along the sheath while the housing lets go."""
+    The peak X' travels to the tip, which feels nothing until it arrives.
+    """
     figure = Figure(figsize=(6.4, 4.0))
     axes = figure.add_subplot()
     shades = mpl.colormaps["cividis"](np.linspace(0.0, 0.72, len(shown.distributions)))
@@ -78,14 +72,10 @@ def draw_distributions(shown: Demonstration) -> tuple[Figure, str]:
     axes.set(xlabel="distance from the housing [m]", ylabel="tension [N]", ylim=(0.0, None))
     axes.set_xlim(-0.13, None)
     axes.legend(loc="upper right")
-    return figure, (
-        "The paper's figure 4: the tension along the sheath while that at the housing is reduced. "
-        "The peak X′ travels to the tip, which feels nothing until it arrives. The plant is a row "
-        "of springs and dry friction; ours was identified by the initialisation."
-    )
+    return figure
 
 
-def draw_initialisation(shown: Demonstration) -> tuple[Figure, str]:
+def draw_initialisation(shown: Demonstration) -> Figure:
     """Draw figure 6: what both load cells read while one motor pulls against the stop."""
     figure = Figure(figsize=(6.4, 4.0))
     axes = figure.add_subplot()
@@ -112,14 +102,11 @@ def draw_initialisation(shown: Demonstration) -> tuple[Figure, str]:
     )
     axes.set(xlabel="travel of motor a [mm]", ylabel="tension at the housing [N]")
     axes.legend(loc="center left")
-    return figure, (
-        "The paper's figure 6: initialisation. Motor a pulls the free joint to its stop, on to "
-        "20 N, and then releases and pulls again; the loop gives K without knowing the sheath."
-    )
+    return figure
 
 
-def draw_tensions(shown: Demonstration) -> tuple[Figure, str]:
-    """Draw figure 7: the tensions at both ends."""
+def draw_tensions(shown: Demonstration) -> Figure:
+    """Draw figure 7: the tensions at both ends; shaded while the front is inside the sheath."""
     figure = Figure(figsize=(6.4, 3.4))
     axes = figure.add_subplot()
     record = shown.session.records[PROFILE]
@@ -130,14 +117,15 @@ def draw_tensions(shown: Demonstration) -> tuple[Figure, str]:
     axes.plot(record.time, estimate, color=BLUE, linestyle=DASHED, label="tip, ours")
     axes.set(xlabel="time [s]", ylabel="tension [N]", xlim=(0.0, record.time[-1]))
     axes.legend(loc="lower right")
-    return figure, (
-        "The paper's figure 7: pull to 20 N at the housing, release to 5 N, pull to 20 N. Shaded: "
-        "the front is inside the sheath and the tip does not follow."
-    )
+    return figure
 
 
-def draw_phases(shown: Demonstration) -> tuple[Figure, str]:
-    """Draw figure 8: predicted and actual, leg by leg, for force and elongation."""
+def draw_phases(shown: Demonstration) -> Figure:
+    """Draw figure 8: predicted and actual, leg by leg, for force and elongation.
+
+    The paper's method is off as in the paper: M_e is too small by the share of T_in that it took to
+    reach the stop, and (13) makes twice as much of it in K.
+    """
     figure = Figure(figsize=(7.6, 7.2))
     record = shown.session.records[PROFILE]
     counts = study.select_taut(record.tension)
@@ -159,14 +147,10 @@ def draw_phases(shown: Demonstration) -> tuple[Figure, str]:
     for axes in grid[-1]:
         axes.set_xlabel("time [s]")
     grid[0][0].legend(loc="upper left")
-    return figure, (
-        "The paper's figure 8: actual and predicted force (left) and elongation (right) in its "
-        "three profiles. The paper's method is off as it was in the paper: M_e is too small by the "
-        "share of T_in that it took to reach the stop, and (13) makes twice as much of it in K."
-    )
+    return figure
 
 
-def draw_sheath_shares(outcomes: list[Outcome]) -> tuple[Figure, str]:
+def draw_sheath_shares(outcomes: list[Outcome]) -> Figure:
     """Draw the share of the sheaths on which an error is at most so large."""
     figure = Figure(figsize=(7.6, 5.6))
     grid = figure.subplots(2, 2, sharey=True)
@@ -186,15 +170,14 @@ def draw_sheath_shares(outcomes: list[Outcome]) -> tuple[Figure, str]:
         row[0].set_ylabel("share of the sheaths")
     handles, labels = grid[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5)
-    return figure, (
-        f"Over {len(outcomes)} random sheaths: how many are within an error. Thick: pull, release, "
-        "pull. Thin: nested reversals, for which the paper has no equations. What a method refused "
-        "is missing at the top."
-    )
+    return figure
 
 
-def draw_unevenness(outcomes: list[Outcome]) -> tuple[Figure, str]:
-    """Draw where the paper's calibration fails: K against how uneven the curvature is."""
+def draw_unevenness(outcomes: list[Outcome]) -> Figure:
+    """Draw where the paper's calibration fails: K against how uneven the curvature is.
+
+    Zero is even; bends at the tip are on the left, which (13) takes for other friction.
+    """
     figure = Figure(figsize=(7.6, 3.6))
     left, right = figure.subplots(1, 2)
     for method in METHODS:
@@ -211,10 +194,7 @@ def draw_unevenness(outcomes: list[Outcome]) -> tuple[Figure, str]:
     right.yaxis.set_major_formatter("{x:g}")
     right.axhline(100.0 * TARGETS["force"][0], color=BLUE, linestyle="dashed", linewidth=0.9)
     left.legend(loc="upper left")
-    return figure, (
-        "Where the paper's method fails. Zero is even curvature; bends at the tip are on the left, "
-        "at the motor on the right. (13) takes uneven curvature for less or more friction."
-    )
+    return figure
 
 
 def _shade_phases(axes: Axes, shown: Demonstration) -> None:

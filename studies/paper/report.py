@@ -1,8 +1,7 @@
-"""The experiment in words and numbers: Markdown tables for people, a tree for programs."""
+"""The experiment in words and numbers: Markdown tables."""
 
 import math
 from itertools import product
-from typing import Any
 
 from estimator.report_table import Table
 from studies.paper.methods import METHODS, OURS, PAPER
@@ -19,7 +18,6 @@ from studies.paper.study import (
     collect_errors,
     compute_spread,
 )
-from teleop.cli.html_page import to_json_values
 
 SIGNALS = ("force", "elongation")
 ITEMS = ("largest", "average")
@@ -97,49 +95,18 @@ def meets_targets(outcome: Outcome) -> bool:
     )
 
 
-def build_tree(shown: Outcome, outcomes: list[Outcome], seed: int) -> dict[str, Any]:
-    """Return all of it for a JSON file; errors in shares of full scale."""
-    values: dict[str, Any] = to_json_values(
-        {
-            "seed": seed,
-            "published": PUBLISHED,
-            "targets": TARGETS,
-            "shown": _build_outcome_tree(shown),
-            "sheaths": [_build_outcome_tree(outcome) for outcome in outcomes],
-            "spread": {
-                motion: {
-                    method: {
-                        f"{item} {signal}": _compute_spread(outcomes, method, motion, signal, item)
-                        for signal, item in product(SIGNALS, ITEMS)
-                    }
-                    for method in METHODS
-                }
-                for motion in MOTIONS
-            },
-            "within_all_targets": sum(meets_targets(outcome) for outcome in outcomes),
-        }
-    )
-    return values
-
-
-def _build_outcome_tree(outcome: Outcome) -> dict[str, Any]:
-    specimen = outcome.specimen
-    return {
-        "number": specimen.number,
-        "kind": specimen.kind,
-        "K": specimen.K,
-        "unevenness": outcome.unevenness,
-        "friction": specimen.sheath.friction,
-        "axial_stiffness_N": specimen.sheath.axial_stiffness,
-        "tension_noise_N": specimen.tension_noise,
-        "sections": [
-            {"length_m": s.length, "radius_m": s.radius} for s in specimen.sheath.sections
-        ],
-        "methods": {
-            method: {"K": result.K, "refusal": result.refusal or None, "errors": result.scores}
-            for method, result in outcome.results.items()
-        },
-    }
+def format_tables(shown: Outcome, outcomes: list[Outcome], seed: int) -> str:
+    """Return all tables as Markdown."""
+    parts = ["# The experiment of Phee et al. 2009, repeated", format_summary(outcomes)]
+    parts += ["Errors in % of full scale, the largest true value of the run."]
+    parts += [f"## A sheath as the paper's: {shown.specimen.describe()}", "Largest / average."]
+    parts += [build_phase_table(shown).to_markdown()]
+    parts += [f"## {len(outcomes)} random sheaths, seed {seed}"]
+    parts += [build_spread_table(outcomes).to_markdown()]
+    for method in METHODS:
+        worst = "\n".join(f"- {line}" for line in list_worst_sheaths(outcomes, method, seed))
+        parts += [f"### Worst of {method}, by the largest error of force", worst]
+    return "\n\n".join(parts)
 
 
 def _compute_spread(

@@ -1,16 +1,13 @@
-"""The study in numbers: Markdown tables for people, a tree for programs."""
+"""The study in numbers: Markdown tables."""
 
 import math
 from collections.abc import Callable, Iterable
-from typing import Any
 
 import numpy as np
 
 from estimator.report_table import Table
-from studies.transparency import hybrid, stiffness, zwidth
-from studies.transparency.hybrid import Response
-from studies.transparency.study import CONTACT, HANDS, LOAD, PRETENSION, SPRING, Case, Study, Walls
-from teleop.cli.html_page import to_json_values
+from studies.transparency import hybrid
+from studies.transparency.study import HANDS, Case, Study, Walls
 
 PARAMETERS = ("h11", "h12", "h21", "h22")
 TRUSTED = 0.95  # coherence below which a line is no number of a linear system
@@ -116,56 +113,6 @@ def build_quality_table(cases: list[Case]) -> Table:
             yield f"{response.coherence.min():.2f}, {100.0 * response.distortion:.1f} %"
 
     return Table(head, _build_rows(cases, describe))
-
-
-def build_tree(study: Study, cases: list[Case]) -> dict[str, Any]:
-    """Return all of it for a JSON file; SI units, null where there is no number."""
-    settings = {
-        **to_json_values(study),
-        "hands": HANDS,
-        "couplings_set": {name: study.coupling(name) for name in study.couplings},
-        "press": {"force": stiffness.FORCE, "steps": stiffness.STEPS},
-        "stable": {
-            "swing": zwidth.SWING,
-            "span": zwidth.SPAN,
-            "fades": zwidth.FADES,
-            "energy": zwidth.ENERGY,
-        },
-        "rig": {"contact": CONTACT, "pretension": PRETENSION, "spring": SPRING, "load": LOAD},
-        "trusted_coherence": TRUSTED,
-    }
-    values: dict[str, Any] = to_json_values(
-        {"settings": settings, "cases": [_build_case_tree(study, case) for case in cases]}
-    )
-    return values
-
-
-def _build_case_tree(study: Study, case: Case) -> dict[str, Any]:
-    responses: dict[str, Response] = {name: getattr(case.hybrid, name) for name in PARAMETERS}
-    return {
-        "coupling": case.coupling,
-        "round_trip": case.round_trip,
-        "stiffness": case.pressed,
-        "z_width": [
-            {"hand": hand, "damping": damping, **walls.width._asdict(), "buzz": walls.buzz}
-            for (hand, damping), walls in case.walls.items()
-        ],
-        "frequency": case.hybrid.frequency,
-        "llewellyn": (
-            hybrid.compute_margin(case.hybrid)
-            if study.linear(case.coupling, case.round_trip)
-            else None
-        ),
-        **{
-            name: {
-                "real": response.value.real,
-                "imag": response.value.imag,
-                "coherence": response.coherence,
-                "distortion": response.distortion,
-            }
-            for name, response in responses.items()
-        },
-    }
 
 
 def _format_criterion(study: Study, case: Case) -> str:

@@ -30,9 +30,6 @@ def test_the_index_lists_every_study_once():
 
 @pytest.mark.parametrize("name", sorted(find_studies().keys() - BY_OTHERS))
 def test_a_study_says_how_it_is_run_and_how_long_it_takes(name):
-    path = find_studies()[name]
-    command = path.with_name("command.py")
-    path = command if path.stem == "__main__" and command.exists() else path
-    text = ast.get_docstring(ast.parse(path.read_text())) or ""
+    text = ast.get_docstring(ast.parse(find_studies()[name].read_text())) or ""
     assert f"python -m studies.{name}" in text
     assert re.search(r"\b(seconds|minutes?|hours?|hour|\d+ s)\b", text)

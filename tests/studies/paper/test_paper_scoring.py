@@ -1,7 +1,12 @@
+import math
+
 import numpy as np
 import pytest
 
-from studies.paper.study import PHASES, compute_errors, label_phases
+from slave.sheath_section import SectionConfig
+from slave.simulation.tendon import SheathConfig
+from studies.paper.bench import Specimen
+from studies.paper.study import PHASES, compute_errors, compute_unevenness, label_phases
 
 
 def test_errors_are_shares_of_the_runs_largest_truth():
@@ -28,3 +33,10 @@ def test_phases_follow_the_tip():
         + ["release to pull"] * 4
         + ["pull again"] * 2
     )
+
+
+def test_unevenness_is_the_one_of_theory():
+    bends = (SectionConfig(0.2, 0.05), SectionConfig(1.3, 0.5))
+    for sections, ratio in ((bends, 1.59), (bends[::-1], 0.63)):
+        specimen = Specimen(1, "by hand", SheathConfig(sections, friction=0.15), 0.01)
+        assert math.exp(compute_unevenness(specimen)) == pytest.approx(ratio, abs=0.01)
