@@ -18,8 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
+from studies.faults.injection import PLAN, Fault, inject_fault, may_end_engagement
 from studies.faults.judge import CampaignResult, judge_recordings
-from studies.faults.session import PLAN, Fault, FaultSession, inject_fault, may_end_engagement
+from studies.faults.session import FaultSession
 from studies.testbed.processes import DEMO_CONFIG, pause
 
 FAULTS = "faults.json"

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from studies.faults.session import HELD, PERIOD, Fault
+from studies.faults.injection import Fault
+from studies.faults.session import HELD, PERIOD
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.recording.reader import RecordingError, read_columns
 from teleop.session.state_machine import State
