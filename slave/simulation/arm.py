@@ -37,8 +37,8 @@ from estimator.small_arrays import copy_values
 from slave.simulation.chain_step import compute_response, recover_state
 from slave.simulation.environment import compute_environment_force
 from slave.simulation.friction_nodes import Curve, Response
-from slave.simulation.inertia import LinkMotion, Links, build_links, compute_link_motion
 from slave.simulation.joint import Joint, JointState, TendonState, fill_truth, wind_tendon
+from slave.simulation.link_inertia import LinkMotion, Links, build_links, compute_link_motion
 from slave.simulation.motor import MotorState
 from slave.simulation.sensor_models import CHANNELS
 from slave.simulation.space_contacts import (

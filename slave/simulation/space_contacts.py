@@ -16,7 +16,7 @@ from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.small_arrays import copy_values
 from slave.simulation.environment import STIFFNESS_MAX
-from slave.simulation.inertia import LinkMotion
+from slave.simulation.link_inertia import LinkMotion
 from teleop.config.arm import LinkedArmConfig
 from teleop.config.ranges import RangedConfig, build_ranged_field, check_ranges
 

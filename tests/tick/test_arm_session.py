@@ -7,7 +7,7 @@ import pytest
 
 from estimator.kinematics.arm import prepare_arm
 from estimator.kinematics.forward import compute_tip_pose
-from slave.simulation.inertia import compute_link_motion
+from slave.simulation.link_inertia import compute_link_motion
 from slave.simulation.space_contacts import locate_surfaces, press_surface
 from teleop.config.loading import load
 from teleop.coupling import PassivityConfig

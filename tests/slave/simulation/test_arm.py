@@ -10,8 +10,8 @@ from estimator.kinematics.forward import compute_part_frames, write_weight_torqu
 from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
 from slave.simulation.arm import ArmPlantConfig
 from slave.simulation.environment import FreeConfig, WallConfig
-from slave.simulation.inertia import build_links, compute_link_motion
 from slave.simulation.joint import BodyConfig
+from slave.simulation.link_inertia import build_links, compute_link_motion
 from slave.simulation.sensor_models import EncoderConfig, LoadCellConfig
 from slave.simulation.space_contacts import (
     BallConfig,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slave.simulation.arm import ArmPlantConfig
-from slave.simulation.inertia import LUMPS, build_links, compute_link_motion
+from slave.simulation.link_inertia import LUMPS, build_links, compute_link_motion
 from teleop.config.arm import BendingSectionConfig
 from tests.estimator.kinematics.random_arms import (
     add_links,
