@@ -7,7 +7,7 @@ from master.device import Device, DeviceFault
 from master.devices.combined import CombinedConfig, CombinedDevice, SingleConfig
 from master.devices.extension import CheckedDevice, DeviceExtension
 from master.devices.hid.device import HidDevice
-from master.devices.hid.mapping import HidConfig
+from master.devices.hid.input_map import HidConfig
 from master.devices.program import ProgramConfig, ProgramDevice
 from master.devices.ros_device import RosDevice, RosDeviceConfig
 from master.devices.virtual import VirtualConfig, VirtualDevice

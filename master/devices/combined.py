@@ -15,7 +15,7 @@ from typing import Literal
 
 from master.device import Axes, Device, DeviceFault, DeviceLost, HandState
 from master.devices.extension import DeviceExtension
-from master.devices.hid.mapping import HidConfig
+from master.devices.hid.input_map import HidConfig
 from master.devices.ros_device import RosDeviceConfig
 from master.devices.virtual import VirtualConfig
 from teleop.config.ranges import build_ranged_field, check_ranges

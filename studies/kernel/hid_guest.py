@@ -24,7 +24,7 @@ from master.devices.hid.device import HidDevice
 from master.devices.hid.driver import Controls
 from master.devices.hid.driver_table import DRIVERS
 from master.devices.hid.force_signs import ForceSign, ForceSigns, save
-from master.devices.hid.mapping import AxisConfig, HidConfig
+from master.devices.hid.input_map import AxisConfig, HidConfig
 from master.devices.hid.node import Node
 from master.devices.hid.pid import PidConfig
 from master.devices.hid.search import FoundDevice

@@ -9,7 +9,7 @@ from master.device import DeviceFault, DeviceLost, HandState
 from master.devices import open_device
 from master.devices.combined import CombinedConfig, CombinedDevice
 from master.devices.hid.device import HidDevice
-from master.devices.hid.mapping import AxisConfig, HidConfig
+from master.devices.hid.input_map import AxisConfig, HidConfig
 from master.devices.virtual import VirtualConfig
 from studies.hid import descriptors
 from studies.hid.virtual.arduino import Arduino

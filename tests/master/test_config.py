@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from master.config import MasterConfig
-from master.devices.hid.mapping import AxisConfig, ButtonsConfig, HidConfig
+from master.devices.hid.input_map import AxisConfig, ButtonsConfig, HidConfig
 from master.devices.hid.pid import PidConfig
 from master.devices.ros_device import RosDeviceConfig
 from master.devices.virtual import Reaches, VirtualConfig

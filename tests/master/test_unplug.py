@@ -10,7 +10,7 @@ from master.config import MasterConfig
 from master.devices.hid import force_signs, search
 from master.devices.hid.device import HidDevice
 from master.devices.hid.force_signs import ForceSign, ForceSigns
-from master.devices.hid.mapping import AxisConfig, ButtonsConfig, HidConfig
+from master.devices.hid.input_map import AxisConfig, ButtonsConfig, HidConfig
 from master.feedback import FeedbackConfig
 from master.process import MasterProcess
 from studies.hid import descriptors

@@ -8,11 +8,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from master.device import Axes, DeviceFault, DeviceLost, HandState
-from master.devices.hid import force_signs, mapping, search
+from master.devices.hid import force_signs, input_map, search
 from master.devices.hid.connection import DeviceConnection
 from master.devices.hid.driver_table import INPUTS_ONLY, PID, AttachedNode
 from master.devices.hid.force_signs import ForceSigns
-from master.devices.hid.mapping import HidConfig
+from master.devices.hid.input_map import HidConfig
 from master.devices.hid.pid import PidConfig, PidDriver
 from master.devices.hid.search import DeviceNotFoundError, FoundDevice
 
@@ -170,7 +170,7 @@ class OpenedDevice:
             self.device, self.switches = self.lines[0], self.lines[-1]
             buttons = self.switches.driver.buttons
             found_signs = force_signs.find_signs(devices[0].pusher)
-            self.plan = mapping.build_mapping(config, self.device.driver, buttons, found_signs)
+            self.plan = input_map.build_input_map(config, self.device.driver, buttons, found_signs)
         except BaseException:
             self.end()
             raise
@@ -211,7 +211,7 @@ class HidDevice:
         self._opened: OpenedDevice | None = opened
         self._seeker: DeviceReconnection | None = None
         self._lost = ""
-        self._memory = mapping.init_mapping(self.axes)
+        self._memory = input_map.init_input_map(self.axes)
         self._time_s = 0.0
         for line in describe_device(config, self._found, self._signs):
             say(line)
@@ -234,7 +234,7 @@ class HidDevice:
         except DeviceFault as fault:
             raise self._lose(opened, fault) from fault
         knew = self._memory.knows
-        hand, self._memory = mapping.step(
+        hand, self._memory = input_map.step(
             opened.plan, self._memory, controls, switches, max(dt, 0.0)
         )
         if knew and not self._memory.knows:
@@ -248,7 +248,7 @@ class HidDevice:
         if len(force) != self.axes or not all(map(math.isfinite, force)):
             raise DeviceFault(f"refuses force {force}")
         if self._opened is not None:
-            self._opened.device.post(mapping.to_force_shares(self._opened.plan, force))
+            self._opened.device.post(input_map.to_force_shares(self._opened.plan, force))
 
     def close(self) -> None:
         """Remove the force and close; does not wait for a hanging device."""
@@ -260,7 +260,7 @@ class HidDevice:
 
     def _lose(self, opened: OpenedDevice, fault: DeviceFault) -> DeviceLost:
         self._opened = None
-        self._memory = mapping.init_mapping(self.axes)._replace(position=self._memory.position)
+        self._memory = input_map.init_input_map(self.axes)._replace(position=self._memory.position)
         self._lost = f"{fault}; waiting for the device"
         paths_before = search.list_node_paths(self._found[0]) | search.list_node_paths(
             self._found[-1]
@@ -305,7 +305,7 @@ def describe_device(
     """Return the messages to the operator about a newly opened device."""
     lines = [f"device: {devices[0].item}, driver {devices[0].kind}"]
     lines += [f"buttons: {device.item}, driver {device.kind}" for device in devices[1:]]
-    names = mapping.find_unsigned_axes(config, force_signs.find_signs(devices[0].pusher))
+    names = input_map.find_unsigned_axes(config, force_signs.find_signs(devices[0].pusher))
     if names:
         lines.append(
             f"WARNING: no force on {', '.join(names)}: force sign unknown; run `teleop devices "

@@ -8,7 +8,7 @@ from master.device import DeviceFault
 from master.devices.hid.descriptor import parse_descriptor
 from master.devices.hid.device import HidDevice
 from master.devices.hid.driver import ActuatorReports, ActuatorState
-from master.devices.hid.mapping import AxisConfig, HidConfig
+from master.devices.hid.input_map import AxisConfig, HidConfig
 from master.devices.hid.pid import PidDriver
 from studies.hid import descriptors
 from studies.hid.virtual.catalogue import DEVICES

@@ -12,7 +12,7 @@ from master.devices import open_device
 from master.devices.hid import force_signs, search
 from master.devices.hid.device import HidDevice
 from master.devices.hid.force_signs import ForceSign, ForceSigns
-from master.devices.hid.mapping import AxisConfig, ButtonsConfig, HidConfig
+from master.devices.hid.input_map import AxisConfig, ButtonsConfig, HidConfig
 from master.devices.hid.pid import PidConfig
 from studies.hid import descriptors
 from studies.hid.virtual.catalogue import DEVICES

@@ -8,7 +8,7 @@ from master.device import DeviceFault
 from master.devices.hid import driver_table, dualsense, joystick, search, wheels
 from master.devices.hid.device import HidDevice
 from master.devices.hid.driver_table import DRIVERS
-from master.devices.hid.mapping import AxisConfig, HidConfig
+from master.devices.hid.input_map import AxisConfig, HidConfig
 from studies.hid import descriptors
 from studies.hid.virtual.arduino import Arduino
 from studies.hid.virtual.device import BLUETOOTH

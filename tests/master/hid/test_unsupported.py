@@ -11,7 +11,7 @@ from master.devices.hid import command, search, unsupported
 from master.devices.hid.command import OperatorDialogue
 from master.devices.hid.device import HidDevice
 from master.devices.hid.driver_table import DRIVERS
-from master.devices.hid.mapping import AxisConfig, ButtonsConfig, HidConfig
+from master.devices.hid.input_map import AxisConfig, ButtonsConfig, HidConfig
 from studies.hid import descriptors
 from studies.hid.virtual.catalogue import DEVICES
 from studies.hid.virtual.openffboard import OpenFFBoard

@@ -1,4 +1,4 @@
-"""Config of a HID device, and the mapping of its inputs to the hand and of forces to its axes.
+"""Config of a HID device, and the map of its inputs to the hand and of forces to its axes.
 
 Pure. An axis with `travel` gives the position of the hand: x = travel * share. One with `speed`
 gives its velocity while the engage button is held: x' = speed * share. The velocity of the former
@@ -8,7 +8,7 @@ steps. Its middle is where it rests with an open switch, near that of the device
 Inputs not reported yet are unknown. An unknown input moves nothing, and until every assigned button
 and every axis with `travel` is known, the engage button counts as held: a session that starts, or
 is at fault, requires an open switch first. In any other session that would be a false press, so it
-must be a fault if a known input becomes unknown: see `MappingState.knows`.
+must be a fault if a known input becomes unknown: see `InputMapState.knows`.
 """
 
 import math
@@ -115,8 +115,8 @@ class HidConfig:
         return max(self.joints) + 1
 
 
-class AxisMapping(NamedTuple):
-    """Mapping between one input of the device and one joint."""
+class InputLane(NamedTuple):
+    """Map between one input of the device and one joint."""
 
     joint: int
     axis: int  # its place in `HidDriver.axes`
@@ -127,11 +127,11 @@ class AxisMapping(NamedTuple):
     per_newton: float  # share of full scale for 1 N on the joint, signed; 0 = unknown sign
 
 
-class DeviceMapping(NamedTuple):
+class InputMap(NamedTuple):
     """Constants of an open device."""
 
     joints: int
-    lanes: tuple[AxisMapping, ...]
+    lanes: tuple[InputLane, ...]
     forces: int
     buttons: tuple[tuple[str, int], ...]  # name in `HandState`, and mask
     assigned: int  # mask of all of these
@@ -158,7 +158,7 @@ class RestPosition(NamedTuple):
         return RestPosition(self.share if is_rest else self.centre, self.share, time_s)
 
 
-class MappingState(NamedTuple):
+class InputMapState(NamedTuple):
     """State between reads, one number per joint."""
 
     position: Axes  # [m]
@@ -168,10 +168,10 @@ class MappingState(NamedTuple):
     rests: tuple[RestPosition, ...] = (RestPosition(),) * MAX_JOINTS  # of each lane
 
 
-def build_mapping(
+def build_input_map(
     config: HidConfig, driver: HidDriver, buttons: int, signs: Mapping[str, int]
-) -> DeviceMapping:
-    """Return the mapping from a device to the hand.
+) -> InputMap:
+    """Return the map from a device to the hand.
 
     `buttons` is the number of buttons of the device with the buttons, `signs` the force sign of
     each axis, if known. `DeviceFault` if the device lacks an input of the config; the message names
@@ -184,10 +184,10 @@ def build_mapping(
                 + "; set buttons.find to another device for them" * (not buttons)
             )
     lanes = tuple(
-        _build_axis_mapping(axis, joint, driver, signs)
+        _build_lane(axis, joint, driver, signs)
         for axis, joint in zip(config.axes, config.joints, strict=True)
     )
-    return DeviceMapping(
+    return InputMap(
         joints=max(config.joints) + 1,
         lanes=lanes,
         forces=len(driver.forces),
@@ -197,9 +197,9 @@ def build_mapping(
     )
 
 
-def _build_axis_mapping(
+def _build_lane(
     axis: AxisConfig, joint: int, driver: HidDriver, signs: Mapping[str, int]
-) -> AxisMapping:
+) -> InputLane:
     if axis.name not in driver.axes:
         axis_names = ", ".join(driver.axes)
         raise DeviceFault(f"axes: the device has no axis {axis.name!r}; it has {axis_names}")
@@ -215,7 +215,7 @@ def _build_axis_mapping(
             )
         place = driver.forces.index(axis.name)
         per_newton = axis.sign * signs.get(axis.name, 0) / axis.force
-    return AxisMapping(
+    return InputLane(
         joint=joint,
         axis=driver.axes.index(axis.name),
         rate=axis.speed > 0.0,
@@ -226,20 +226,20 @@ def _build_axis_mapping(
     )
 
 
-def _has_all_inputs(plan: DeviceMapping, controls: Controls, switches: Controls) -> bool:
+def _has_all_inputs(plan: InputMap, controls: Controls, switches: Controls) -> bool:
     return all(mask & switches.known for _, mask in plan.buttons) and not any(
         math.isnan(controls.axes[lane.axis]) for lane in plan.lanes if not lane.rate
     )
 
 
-def init_mapping(joints: int) -> MappingState:
+def init_input_map(joints: int) -> InputMapState:
     """Return the initial state."""
-    return MappingState((0.0,) * joints, (0.0,) * joints, (False,) * joints)
+    return InputMapState((0.0,) * joints, (0.0,) * joints, (False,) * joints)
 
 
 def step(
-    plan: DeviceMapping, memory: MappingState, controls: Controls, switches: Controls, dt: float
-) -> tuple[HandState, MappingState]:
+    plan: InputMap, memory: InputMapState, controls: Controls, switches: Controls, dt: float
+) -> tuple[HandState, InputMapState]:
     """Return the hand after `dt` [s]; `switches` are the controls that have the buttons."""
     pressed = {name: bool(mask & switches.buttons) for name, mask in plan.buttons}
     has_inputs = _has_all_inputs(plan, controls, switches)
@@ -269,7 +269,7 @@ def step(
         **{**pressed, "engage": pressed["engage"] or not has_inputs},
         buttons=list_buttons(switches.buttons & ~plan.assigned),
     )
-    return hand, MappingState(
+    return hand, InputMapState(
         hand.position, hand.velocity, tuple(is_reported), has_inputs, tuple(rests)
     )
 
@@ -285,7 +285,7 @@ def apply_dead_zone(share: Share, dead_zone: float) -> Share:
     return math.copysign(remaining, share) if remaining > 0.0 else 0.0
 
 
-def to_force_shares(plan: DeviceMapping, force: Axes) -> tuple[Share, ...]:
+def to_force_shares(plan: InputMap, force: Axes) -> tuple[Share, ...]:
     """Return forces on the joints [N] as shares of the device's full scale.
 
     Clipped to full scale; NaN and axes of unknown sign are zero.

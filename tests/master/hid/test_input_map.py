@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from master.device import DeviceFault
-from master.devices.hid import mapping
+from master.devices.hid import input_map
 from master.devices.hid.driver import Controls, build_unknown_controls
-from master.devices.hid.mapping import AxisConfig, ButtonsConfig, HidConfig
+from master.devices.hid.input_map import AxisConfig, ButtonsConfig, HidConfig
 
 STICK = SimpleNamespace(axes=("x", "y", "z"), forces=("y", "x"), buttons=4)
 BUTTONS = ButtonsConfig(engage=1, clutch=2, stop=3)
@@ -22,7 +22,7 @@ DT = 1e-3
 
 def planned(*axes, signs=BOTH, smoothing=0.01, buttons=BUTTONS):
     config = HidConfig(axes=axes, buttons=buttons, smoothing=smoothing)
-    return mapping.build_mapping(config, STICK, STICK.buttons, signs)
+    return input_map.build_input_map(config, STICK, STICK.buttons, signs)
 
 
 class Hand:
@@ -30,11 +30,11 @@ class Hand:
 
     def __init__(self, *axes, **settings):
         self.plan = planned(*axes, **settings)
-        self.memory = mapping.init_mapping(self.plan.joints)
+        self.memory = input_map.init_input_map(self.plan.joints)
 
     def read(self, *shares, buttons=0, dt=DT):
         controls = Controls((*shares, *(0.0,) * (3 - len(shares))), buttons, ALL)
-        hand, self.memory = mapping.step(self.plan, self.memory, controls, controls, dt)
+        hand, self.memory = input_map.step(self.plan, self.memory, controls, controls, dt)
         return hand
 
 
@@ -46,11 +46,11 @@ def test_travel_is_the_way_from_the_middle_to_the_end_of_the_joint_that_an_axis_
 
 @given(st.floats(-1.0, 1.0), st.floats(0.0, 0.9))
 def test_a_dead_zone_makes_no_jump_and_leaves_the_ends(share, zone):
-    out = mapping.apply_dead_zone(share, zone)
+    out = input_map.apply_dead_zone(share, zone)
     assert abs(out) <= 1.0
     assert (out == 0.0) == (abs(share) <= zone or out == 0.0)
-    assert mapping.apply_dead_zone(math.copysign(1.0, share), zone) == math.copysign(1.0, share)
-    assert abs(mapping.apply_dead_zone(math.copysign(zone, share), zone)) < 1e-9
+    assert input_map.apply_dead_zone(math.copysign(1.0, share), zone) == math.copysign(1.0, share)
+    assert abs(input_map.apply_dead_zone(math.copysign(zone, share), zone)) < 1e-9
     assert abs(out) <= abs(share) + 1e-12  # rounding
 
 
@@ -126,7 +126,7 @@ def test_the_buttons_without_a_function_are_told_by_their_numbers():
 def test_until_everything_is_known_the_switch_counts_as_held_and_nothing_moves():
     hand = Hand(AxisConfig("x", travel=0.1), AxisConfig("y", speed=0.1))
     start = build_unknown_controls(3)
-    state, memory = mapping.step(hand.plan, hand.memory, start, start, DT)
+    state, memory = input_map.step(hand.plan, hand.memory, start, start, DT)
     assert state.engage
     assert not memory.knows
     assert not state.stop  # a fault that nobody asked for
@@ -142,7 +142,7 @@ def test_until_everything_is_known_the_switch_counts_as_held_and_nothing_moves()
         ((0.5, nan, nan), ENGAGE | CLUTCH | STOP, False),  # y, of rate, rests until it is known
     ):
         controls = Controls(axes, 0, reported)
-        state, after = mapping.step(hand.plan, memory, controls, controls, DT)
+        state, after = input_map.step(hand.plan, memory, controls, controls, DT)
         assert state.engage is held
         assert after.knows is not held
         assert not state.stop
@@ -166,8 +166,8 @@ def test_a_force_is_a_share_of_full_scale_with_the_sign_that_was_found():
         AxisConfig("x", travel=0.1, force=2.0), AxisConfig("y", travel=0.1, force=5.0, sign=-1)
     )
     # forces of the driver are y, x; y was found to push the other way, and its joint is reversed
-    assert mapping.to_force_shares(plan, (1.0, 2.5)) == (0.5, 0.5)
-    assert mapping.to_force_shares(plan, (-1.0, -2.5)) == (-0.5, -0.5)
+    assert input_map.to_force_shares(plan, (1.0, 2.5)) == (0.5, 0.5)
+    assert input_map.to_force_shares(plan, (-1.0, -2.5)) == (-0.5, -0.5)
 
 
 @given(st.lists(st.floats(), min_size=2, max_size=2), st.sampled_from([1, -1]))
@@ -176,7 +176,7 @@ def test_whatever_is_asked_for_a_share_is_a_share(force, sign):
         AxisConfig("x", travel=0.1, force=2.0, sign=sign), AxisConfig("y", travel=0.1, force=0.1)
     )
     for share, wanted in zip(
-        reversed(mapping.to_force_shares(plan, tuple(force))), force, strict=True
+        reversed(input_map.to_force_shares(plan, tuple(force))), force, strict=True
     ):
         assert -1.0 <= share <= 1.0
         assert not (math.isnan(wanted) and share)
