@@ -163,7 +163,7 @@ def judge(case, among=CATALOGUE, oracle=True):
     began = time.process_time()
     found = diagnose_records([record], among)
     seconds = time.process_time() - began
-    by = _to_be_found(case, made.truth)
+    by = _name_expected_function(case, made.truth)
     has_curve = by.startswith("friction") and by in found.causes
     return Result(
         case,
@@ -172,17 +172,17 @@ def judge(case, among=CATALOGUE, oracle=True):
         found.ambiguous_with,
         max(one.rmse / found.noise[c] for c, one in found.before.held_out.items()),
         found.residual_fraction,
-        checked(made, found) if set(found.causes) == set(case.effects) else (),
-        _over_oracle(record, found, case.effects) if oracle else math.nan,
+        collect_checked_numbers(made, found) if set(found.causes) == set(case.effects) else (),
+        _compare_to_oracle(record, found, case.effects) if oracle else math.nan,
         seconds,
         by,
-        _inside_band(made, found) if has_curve else math.nan,
+        _measure_band_coverage(made, found) if has_curve else math.nan,
         found.live_error or (math.nan, math.nan),
-        _gain_over_truth(made, record, found) if has_curve and oracle else math.nan,
+        _compare_gain_to_truth(made, record, found) if has_curve and oracle else math.nan,
     )
 
 
-def checked(made, found):
+def collect_checked_numbers(made, found):
     """Return the numbers of a hidden bench that a diagnosis also has, under its names."""
     sheath = made.truth["sheath"]
     true = {"K": sheath["K"], "L/EA": sheath["L"] / sheath["EA"]}
@@ -201,10 +201,10 @@ def checked(made, found):
         for name, number in numbers.items()
         if isinstance(true.get(name), float | int)
     ]
-    return tuple(rows) + tuple(_amplitudes(true, numbers))
+    return tuple(rows) + tuple(_check_amplitudes(true, numbers))
 
 
-def _amplitudes(true, numbers):
+def _check_amplitudes(true, numbers):
     """Yield the amplitudes of waves, which are found as a sine and a cosine."""
     for name in (key.removesuffix(".sine") for key in numbers if key.endswith(".sine")):
         if f"{name}.amplitude" in true:
@@ -215,7 +215,7 @@ def _amplitudes(true, numbers):
             yield Checked(f"{name}.amplitude", wanted, size, size - spread, size + spread)
 
 
-def _inside_band(made, found):
+def _measure_band_coverage(made, found):
     """Return the share of samples in which the band of a curve has the true friction.
 
     A constant factor is the plain law's.
@@ -229,7 +229,7 @@ def _inside_band(made, found):
     return float(np.mean(np.abs(true - value) <= width))
 
 
-def _gain_over_truth(made, record, found):
+def _compare_gain_to_truth(made, record, found):
     """Return the share of the error beyond noise that is explained, over that by true friction."""
 
     def physics(plain, values, context):
@@ -250,13 +250,13 @@ def _gain_over_truth(made, record, found):
     return (1.0 - found.residual_fraction) / (1.0 - left)
 
 
-def _to_be_found(case, truth):
+def _name_expected_function(case, truth):
     """Return the name of the function that a case is to end in; empty where it is none."""
     name = next(iter(case.effects), "")
     return hidden_effects.BY.get(name, "").format(**truth.get(name, {}))
 
 
-def _over_oracle(record, found, effects):
+def _compare_to_oracle(record, found, effects):
     """Return by how much the held-out errors are larger than with what was hidden, fitted.
 
     NaN where nothing of the catalogue was hidden.
@@ -270,7 +270,7 @@ def _over_oracle(record, found, effects):
     )
 
 
-def cases(seeds, clean, outside, pairs, how, only):
+def list_cases(seeds, clean, outside, pairs, how, only):
     """Return the cases of a range of seeds; `how` is duration [s], rate [Hz], travel noise [m]."""
     made = [
         Case(seed, (name,), size, bench, *how)
@@ -311,7 +311,7 @@ def main():
         only=(tuple(hidden_effects.EFFECTS), "effects of the catalogue"),
         no_oracle=(False, "not the true model, fitted, beside it: in half the time"),
     )
-    todo = cases(
+    todo = list_cases(
         range(args.first, args.first + args.seeds),
         args.clean,
         args.outside,
@@ -322,11 +322,11 @@ def main():
     results = []
     for result in map_in_parallel(partial(judge, oracle=not args.no_oracle), todo, args.jobs):
         results.append(result)
-        show(result)
-    summary(results)
+        print_result(result)
+    print_summary(results)
 
 
-def show(result):
+def print_result(result):
     """Print one line of a result."""
     case = result.case
     print(
@@ -350,7 +350,7 @@ def show(result):
     )
 
 
-def summary(results):
+def print_summary(results):
     """Print shares, and what was taken for what."""
     groups = {
         "full size": lambda c: len(c.effects) == 1 and c.size == 1.0 and not c.outside,

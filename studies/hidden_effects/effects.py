@@ -82,64 +82,64 @@ def effect(sized, draw, *, benches=BENCHES, read=False, outside=False):
     return register
 
 
-def about(rng, value):
+def vary(rng, value):
     return value * rng.uniform(0.8, 1.2)
 
 
-def either(rng, value):
-    return about(rng, value) * rng.choice([-1.0, 1.0])
+def vary_signed(rng, value):
+    return vary(rng, value) * rng.choice([-1.0, 1.0])
 
 
-def some_time(rng, scene):
+def draw_time(rng, scene):
     return scene.duration * rng.uniform(0.2, 0.8)
 
 
 # Friction
 
 
-@effect("change", lambda r, s: {"change": either(r, 0.25), "time": some_time(r, s)})
+@effect("change", lambda r, s: {"change": vary_signed(r, 0.25), "time": draw_time(r, s)})
 def friction_step(plant, change, time):
     plant.scales.append(lambda t, _q: 1.0 + change * (t >= time))
 
 
-@effect("change", lambda r, _: {"change": either(r, 0.15)})
+@effect("change", lambda r, _: {"change": vary_signed(r, 0.15)})
 def friction_drift(plant, change):
     """`change` is that at the end."""
     plant.scales.append(lambda t, _q: 1.0 + change * t / t[-1])
 
 
-@effect("drag", lambda r, _: {"drag": about(r, 0.6)})
+@effect("drag", lambda r, _: {"drag": vary(r, 0.6)})
 def constant_drag(plant, drag):
     plant.bend(drag=drag)
 
 
-@effect("viscosity", lambda r, _: {"viscosity": about(r, 500.0)})
+@effect("viscosity", lambda r, _: {"viscosity": vary(r, 500.0)})
 def viscous_friction(plant, viscosity):
     plant.bend(parts=2, viscosity=viscosity)
 
 
 @effect(
-    "ratio", lambda r, s: {"ratio": about(r, 0.25), "speed": about(r, 0.2) * s.full, "memory": 0.2}
+    "ratio", lambda r, s: {"ratio": vary(r, 0.25), "speed": vary(r, 0.2) * s.full, "memory": 0.2}
 )
 def stribeck_friction(plant, ratio, speed, memory):
     """Friction follows the speed a little late: without it a tendon would stick and slip."""
     plant.bend(parts=2, stribeck_ratio=ratio, stribeck_speed=speed, stribeck_memory=memory)
 
 
-@effect("bristle", lambda r, _: {"bristle": about(r, 5e-5)})
+@effect("bristle", lambda r, _: {"bristle": vary(r, 5e-5)})
 def presliding(plant, bristle):
     """`bristle` is what a contact gives at 10 N before it slides; its stiffness is constant."""
     plant.bend(bristle=bristle)
 
 
-@effect("change", lambda r, _: {"change": either(r, 0.2)})
+@effect("change", lambda r, _: {"change": vary_signed(r, 0.2)})
 def direction_asymmetry(plant, change):
     """Friction towards the tip is 1 + change times that towards the housing."""
     plant.bend(asymmetry=1.0 + change)
     return {"ratio": 1.0 + change}
 
 
-@effect("change", lambda r, _: {"change": -about(r, 0.15)})
+@effect("change", lambda r, _: {"change": -vary(r, 0.15)})
 def tension_dependent_friction(plant, change):
     plant.bend(exponent=1.0 + change)
     return {"exponent": 1.0 + change}
@@ -147,7 +147,7 @@ def tension_dependent_friction(plant, change):
 
 @effect(
     "excess",
-    lambda r, _: {"excess": about(r, 0.3), "time": about(r, 0.3), "distance": about(r, 2e-5)},
+    lambda r, _: {"excess": vary(r, 0.3), "time": vary(r, 0.3), "distance": vary(r, 2e-5)},
 )
 def stick_slip(plant, excess, time, distance):
     """A contact at rest grows by `excess` with `time`; sliding `distance` undoes it."""
@@ -157,13 +157,13 @@ def stick_slip(plant, excess, time, distance):
 # Elasticity and geometry
 
 
-def some_sections(rng, scene):
+def draw_sections(rng, scene):
     count = rng.integers(2, 5)
     cuts = np.sort(rng.uniform(0.15, 0.85, count - 1))
-    return {"spread": about(rng, 1.5), "cuts": cuts, "order": rng.permutation(count)}
+    return {"spread": vary(rng, 1.5), "cuts": cuts, "order": rng.permutation(count)}
 
 
-@effect("spread", some_sections)
+@effect("spread", draw_sections)
 def nonuniform_curvature(plant, spread, cuts, order):
     """The sharpest section is exp(spread) times as sharp as the gentlest; `cuts` in lengths."""
     ((length, angle),) = plant.sections
@@ -173,34 +173,34 @@ def nonuniform_curvature(plant, spread, cuts, order):
 
 
 @effect(
-    "strain", lambda r, s: {"strain": about(r, 1.5e-4) / s.length, "tension": r.uniform(1.0, 5.0)}
+    "strain", lambda r, s: {"strain": vary(r, 1.5e-4) / s.length, "tension": r.uniform(1.0, 5.0)}
 )
 def nonlinear_stiffness(plant, strain, tension):
     plant.bend(toe_strain=strain, toe_tension=tension)
 
 
-@effect("share", lambda r, _: {"share": about(r, 0.1), "time": about(r, 8.0)})
+@effect("share", lambda r, _: {"share": vary(r, 0.1), "time": vary(r, 8.0)})
 def creep(plant, share, time):
     plant.bend(creep_share=share, creep_time=time)
 
 
 @effect(
-    "compression", lambda r, _: {"compression": about(r, 5e-7), "threshold": r.uniform(0.0, 5.0)}
+    "compression", lambda r, _: {"compression": vary(r, 5e-7), "threshold": r.uniform(0.0, 5.0)}
 )
 def sheath_compression(plant, compression, threshold):
     plant.bend(compression=compression, compression_threshold=threshold)
 
 
-@effect("length", lambda r, _: {"length": about(r, 5e-4)})
+@effect("length", lambda r, _: {"length": vary(r, 5e-4)})
 def slack(plant, length):
     plant.bend(slack=length)
 
 
-def some_growth(rng, scene):
-    return {"growth": about(rng, 1e-4), "time": rng.choice([np.inf, scene.duration / 3])}
+def draw_growth(rng, scene):
+    return {"growth": vary(rng, 1e-4), "time": rng.choice([np.inf, scene.duration / 3])}
 
 
-@effect("growth", some_growth)
+@effect("growth", draw_growth)
 def thermal_expansion(plant, growth, time):
     """The tendon is `growth` longer at the end: evenly, or exponentially with `time`."""
     length = sum(length for length, _ in plant.sections)
@@ -215,29 +215,29 @@ def thermal_expansion(plant, growth, time):
 # Ends of the tendon
 
 
-def some_pretension(rng, scene):
+def draw_pretension(rng, scene):
     """Less than what pulls bring to the tip, or there would be none there but by letting go."""
-    return {"tension": about(rng, min(6.0, 0.6 * scene.clean["distal_tension"].max()))}
+    return {"tension": vary(rng, min(6.0, 0.6 * scene.clean["distal_tension"].max()))}
 
 
-@effect("tension", some_pretension)
+@effect("tension", draw_pretension)
 def pretension(plant, tension):
     plant.pretension = tension
 
 
-@effect("width", lambda r, _: {"width": about(r, 1e-4)}, benches=("spring",), read=True)
+@effect("width", lambda r, _: {"width": vary(r, 1e-4)}, benches=("spring",), read=True)
 def joint_backlash(plant, width):
-    plant.read("distal_displacement", lambda _t, y, _q: sensors.play(y, width))
+    plant.read("distal_displacement", lambda _t, y, _q: sensors.apply_play(y, width))
 
 
-@effect("friction", lambda r, _: {"friction": about(r, 0.5)}, benches=("spring",))
+@effect("friction", lambda r, _: {"friction": vary(r, 0.5)}, benches=("spring",))
 def joint_friction(plant, friction):
     plant.tip = plant.tip._replace(friction=friction)
 
 
 @effect(
     "tension",
-    lambda r, _: {"tension": about(r, 0.2), "K": r.uniform(0.5, 1.5)},
+    lambda r, _: {"tension": vary(r, 0.2), "K": r.uniform(0.5, 1.5)},
     benches=("spring",),
 )
 def antagonist_tension(plant, tension, K):
@@ -249,8 +249,8 @@ def antagonist_tension(plant, tension, K):
 @effect(
     "damping mass",
     lambda r, s: {
-        "damping": about(r, 0.06) * s.stiffness,
-        "mass": s.stiffness / about(r, 25.0) ** 2,
+        "damping": vary(r, 0.06) * s.stiffness,
+        "mass": s.stiffness / vary(r, 25.0) ** 2,
     },
     benches=("spring",),
 )
@@ -259,16 +259,16 @@ def tip_inertia(plant, damping, mass):
     plant.parts = max(plant.parts, 4)
 
 
-def some_visit(rng, scene):
+def draw_visit(rng, scene):
     """Move the tip in one of the motor's holds."""
     start, end = scene.holds[rng.integers(len(scene.holds))]
     begin = rng.uniform(start + 0.1 * (end - start), start + 0.4 * (end - start))
     ramp = rng.uniform(0.2, 1.0)
     back = np.inf if rng.random() < 0.5 else begin + ramp + rng.uniform(1.0, 2.5)
-    return {"travel": either(rng, 6e-4), "time": begin, "ramp": ramp, "back": back}
+    return {"travel": vary_signed(rng, 6e-4), "time": begin, "ramp": ramp, "back": back}
 
 
-@effect("travel", some_visit)
+@effect("travel", draw_visit)
 def tip_moved(plant, travel, time, ramp, back):
     """Blocked: the wall moves; spring: its far end."""
 
@@ -281,7 +281,7 @@ def tip_moved(plant, travel, time, ramp, back):
 # Sensors
 
 
-def cell_effects(side, gain, bias, drift):
+def register_cell_effects(side, gain, bias, drift):
     """Register gain, bias and drift of the load cell at one end."""
     channel = side + "_tension"
 
@@ -290,40 +290,40 @@ def cell_effects(side, gain, bias, drift):
             plant.read(channel, make(*parameters.values()))
 
         act.__name__ = f"{channel}_{what}"
-        effect(name, lambda r, _: {name: either(r, value)}, read=True)(act)
+        effect(name, lambda r, _: {name: vary_signed(r, value)}, read=True)(act)
 
-    register("gain", "gain", gain, sensors.gained)
-    register("bias", "bias", bias, sensors.biased)
-    register("drift", "drift", drift, sensors.drifting)
-
-
-cell_effects("proximal", 0.06, 0.4, 0.6)
-cell_effects("distal", 0.05, 0.3, 0.5)
+    register("gain", "gain", gain, sensors.build_gain)
+    register("bias", "bias", bias, sensors.build_bias)
+    register("drift", "drift", drift, sensors.build_drift)
 
 
-def encoders(scene):
+register_cell_effects("proximal", 0.06, 0.4, 0.6)
+register_cell_effects("distal", 0.05, 0.3, 0.5)
+
+
+def list_encoders(scene):
     """Encoders that move: that of a blocked tip does not."""
     both = ["proximal_displacement", "distal_displacement"]
     return both if scene.bench == "spring" else both[:1]
 
 
-def some_lag(rng, scene):
-    channel = rng.choice(["proximal_tension", "distal_tension", *encoders(scene)])
+def draw_lag(rng, scene):
+    channel = rng.choice(["proximal_tension", "distal_tension", *list_encoders(scene)])
     kind = rng.choice(["delay", "filter"])
-    return {"lag": about(rng, 0.06), "channel": str(channel), "kind": str(kind)}
+    return {"lag": vary(rng, 0.06), "channel": str(channel), "kind": str(kind)}
 
 
-@effect("lag", some_lag, read=True)
+@effect("lag", draw_lag, read=True)
 def sensor_lag(plant, lag, channel, kind):
-    plant.read(channel, sensors.delayed(lag) if kind == "delay" else sensors.filtered(lag))
+    plant.read(channel, sensors.build_delay(lag) if kind == "delay" else sensors.build_filter(lag))
 
 
-def some_ceiling(rng, scene):
+def draw_ceiling(rng, scene):
     channel = str(rng.choice(["proximal_tension", "distal_tension"]))
-    return {"depth": about(rng, 0.2), "peak": scene.clean[channel].max(), "channel": channel}
+    return {"depth": vary(rng, 0.2), "peak": scene.clean[channel].max(), "channel": channel}
 
 
-@effect("depth", some_ceiling, read=True)
+@effect("depth", draw_ceiling, read=True)
 def saturation(plant, depth, peak, channel):
     limit = (1.0 - depth) * peak
     plant.ceilings[channel] = limit
@@ -332,32 +332,32 @@ def saturation(plant, depth, peak, channel):
 
 @effect(
     "gain",
-    lambda r, s: {"gain": either(r, 0.04), "channel": str(r.choice(encoders(s)))},
+    lambda r, s: {"gain": vary_signed(r, 0.04), "channel": str(r.choice(list_encoders(s)))},
     benches=("spring",),  # with a blocked tip it is a stiffer tendon
     read=True,
 )
 def encoder_scale(plant, gain, channel):
-    plant.read(channel, sensors.gained(gain))
+    plant.read(channel, sensors.build_gain(gain))
 
 
 @effect(
     "slip",
     lambda r, s: {
-        "slip": either(r, 8e-5),
-        "time": some_time(r, s),
-        "channel": str(r.choice(encoders(s))),
+        "slip": vary_signed(r, 8e-5),
+        "time": draw_time(r, s),
+        "channel": str(r.choice(list_encoders(s))),
     },
     read=True,
 )
 def encoder_slip(plant, slip, time, channel):
-    plant.read(channel, sensors.slipped(slip, time))
+    plant.read(channel, sensors.build_slip(slip, time))
 
 
-def on_pulley(rng, amplitude, order):
+def draw_ripple(rng, amplitude, order):
     """Over less than a turn only a wave near its crest is more than another radius."""
     crest = rng.choice([0.5, 1.5]) * np.pi
     return {
-        "amplitude": about(rng, amplitude),
+        "amplitude": vary(rng, amplitude),
         "radius": rng.uniform(5e-3, 15e-3),
         "order": order,
         "phase": crest + rng.uniform(-0.6, 0.6),
@@ -366,54 +366,54 @@ def on_pulley(rng, amplitude, order):
 
 @effect(
     "amplitude",
-    lambda r, _: on_pulley(r, 2e-4, 1),
+    lambda r, _: draw_ripple(r, 2e-4, 1),
     benches=("spring",),  # over the short travel of a blocked tip it is a stiffer tendon
     read=True,
 )
 def pulley_eccentricity(plant, **ripple):
-    plant.read("proximal_displacement", sensors.wave(**ripple))
+    plant.read("proximal_displacement", sensors.build_wave(**ripple))
 
 
-@effect("amplitude", lambda r, _: on_pulley(r, 0.2, int(r.integers(10, 61))), read=True)
+@effect("amplitude", lambda r, _: draw_ripple(r, 0.2, int(r.integers(10, 61))), read=True)
 def cogging_ripple(plant, **ripple):
-    plant.read("proximal_tension", sensors.wave(**ripple))
+    plant.read("proximal_tension", sensors.build_wave(**ripple))
 
 
-@effect("force", lambda r, _: {"force": about(r, 0.3), "give": about(r, 2e-5)}, read=True)
+@effect("force", lambda r, _: {"force": vary(r, 0.3), "give": vary(r, 2e-5)}, read=True)
 def sheath_rub(plant, force, give):
-    plant.read("proximal_tension", sensors.rubbing(force, give))
+    plant.read("proximal_tension", sensors.build_rub(force, give))
 
 
 # Outside the catalogue
 
 
-def some_walk(rng, spread):
+def draw_walk(rng, spread):
     """Return a random walk of 60 places whose farthest is 1."""
     walk = np.cumsum(rng.standard_normal(60))
     walk -= walk.mean()
-    return {"spread": about(rng, spread), "walk": walk / np.abs(walk).max()}
+    return {"spread": vary(rng, spread), "walk": walk / np.abs(walk).max()}
 
 
-def along(walk, t):
+def interpolate_walk(walk, t):
     return np.interp(t, np.linspace(0.0, t[-1], len(walk)), walk)
 
 
-@effect("spread", lambda r, _: some_walk(r, 0.3), outside=True)
+@effect("spread", lambda r, _: draw_walk(r, 0.3), outside=True)
 def wandering_friction(plant, spread, walk):
-    plant.scales.append(lambda t, _q: 1.0 + spread * along(walk, t))
+    plant.scales.append(lambda t, _q: 1.0 + spread * interpolate_walk(walk, t))
 
 
-@effect("spread", lambda r, _: some_walk(r, 0.1), outside=True, read=True)
+@effect("spread", lambda r, _: draw_walk(r, 0.1), outside=True, read=True)
 def wandering_gain(plant, spread, walk):
-    plant.read("proximal_tension", lambda t, y, _q: y * (1.0 + spread * along(walk, t)))
+    plant.read("proximal_tension", lambda t, y, _q: y * (1.0 + spread * interpolate_walk(walk, t)))
 
 
 @effect(
     "height",
     lambda r, s: {
-        "height": about(r, 0.5),
+        "height": vary(r, 0.5),
         "place": s.full * r.uniform(0.3, 0.8),
-        "width": s.full * about(r, 0.08),
+        "width": s.full * vary(r, 0.08),
     },
     outside=True,
 )
@@ -424,7 +424,7 @@ def rough_spot(plant, height, place, width):
 @effect(
     "amplitude",
     lambda r, _: {
-        "amplitude": about(r, 0.3),
+        "amplitude": vary(r, 0.3),
         "period": r.uniform(0.8, 3.0),
         "shape": r.standard_normal((3, 2)),
         "channel": str(r.choice(["proximal_tension", "distal_tension"])),
@@ -441,7 +441,7 @@ def periodic_disturbance(plant, amplitude, period, shape, channel):
     plant.read(channel, disturbed)
 
 
-def fresh(plant):
+def copy_plant(plant):
     """Return a copy that effects may change."""
     lists = {n: list(getattr(plant, n)) for n in ("scales", "growth", "wall")}
     readings = {channel: list(functions) for channel, functions in plant.readings.items()}

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from studies.hidden_effects.effects import about, effect
+from studies.hidden_effects.effects import effect, vary
 
 BY = {
     "outside:friction_over_position": "friction_by_position",
@@ -17,43 +17,47 @@ BY = {
 """What is to be found of each."""
 
 
-def some_curve(rng, height):
+def draw_curve(rng, height):
     """Return three waves over 0 to 1 whose farthest is `height` from their mean."""
     return {
-        "height": about(rng, height),
+        "height": vary(rng, height),
         "waves": rng.standard_normal(3) / (1.0, 1.5, 2.0),
         "shifts": rng.uniform(0.0, 2.0 * np.pi, 3),
     }
 
 
-def on_curve(height, waves, shifts, share, turns=0.5):
-    def raw(u):
+def evaluate_curve(height, waves, shifts, share, turns=0.5):
+    def evaluate_waves(u):
         angles = 2.0 * np.pi * turns * np.multiply.outer(u, (1, 2, 3)) + shifts
         return np.sin(angles) @ waves
 
-    grid = raw(np.linspace(0.0, 1.0, 200))
-    return height * (raw(share) - grid.mean()) / np.abs(grid - grid.mean()).max()
+    grid = evaluate_waves(np.linspace(0.0, 1.0, 200))
+    return height * (evaluate_waves(share) - grid.mean()) / np.abs(grid - grid.mean()).max()
 
 
-def spread(x):
+def normalise(x):
     return (x - x.min()) / np.ptp(x)
 
 
-def friction_over(name, variable):
+def register_friction_over(name, variable):
     """Register friction that follows a variable, which is a function of time and motor travel."""
 
     def act(plant, **curve):
-        plant.scales.append(lambda t, q: 1.0 + on_curve(**curve, share=spread(variable(t, q))))
+        plant.scales.append(
+            lambda t, q: 1.0 + evaluate_curve(**curve, share=normalise(variable(t, q)))
+        )
 
     act.__name__ = name
-    effect("height", lambda r, _: some_curve(r, 0.35), outside=True)(act)
+    effect("height", lambda r, _: draw_curve(r, 0.35), outside=True)(act)
 
 
-friction_over("friction_over_position", lambda _t, q: q)
-friction_over("friction_over_path", lambda _t, q: np.cumsum(np.abs(np.diff(q, prepend=q[0]))))
+register_friction_over("friction_over_position", lambda _t, q: q)
+register_friction_over(
+    "friction_over_path", lambda _t, q: np.cumsum(np.abs(np.diff(q, prepend=q[0])))
+)
 
 
-def rested(t, q):
+def compute_rest_time(t, q):
     """Return how long the motor has rested [s], and after it moves how long it had."""
     out, now, rests = np.zeros(len(t)), 0.0, True
     moves = np.abs(np.gradient(q)) > 0.02 * np.abs(np.gradient(q)).max()
@@ -69,19 +73,19 @@ def rested(t, q):
     return out
 
 
-@effect(
-    "height", lambda r, _: {"height": about(r, 0.5), "lasts": r.uniform(1.0, 3.0)}, outside=True
-)
+@effect("height", lambda r, _: {"height": vary(r, 0.5), "lasts": r.uniform(1.0, 3.0)}, outside=True)
 def friction_over_rest(plant, height, lasts):
-    plant.scales.append(lambda t, q: 1.0 + height * (1.0 - np.exp(-rested(t, q) / lasts)))
+    plant.scales.append(
+        lambda t, q: 1.0 + height * (1.0 - np.exp(-compute_rest_time(t, q) / lasts))
+    )
 
 
 @effect(
     "height",
     lambda r, _: {
-        "height": about(r, 0.5),
+        "height": vary(r, 0.5),
         "at": r.uniform(0.25, 0.5) * r.choice([-1.0, 1.0]),
-        "width": about(r, 0.15),
+        "width": vary(r, 0.15),
     },
     outside=True,
 )
@@ -95,14 +99,14 @@ def friction_over_speed(plant, height, at, width):
     plant.scales.append(scale)
 
 
-@effect("height", lambda r, _: some_curve(r, 0.3) | {"period": r.uniform(3.0, 9.0)}, outside=True)
+@effect("height", lambda r, _: draw_curve(r, 0.3) | {"period": r.uniform(3.0, 9.0)}, outside=True)
 def friction_over_cycle(plant, period, **curve):
-    plant.scales.append(lambda t, _q: 1.0 + on_curve(**curve, share=t / period, turns=1.0))
+    plant.scales.append(lambda t, _q: 1.0 + evaluate_curve(**curve, share=t / period, turns=1.0))
 
 
 @effect(
     "height",
-    lambda r, s: some_curve(r, 0.35) | {"swings": s.duration / r.uniform(15.0, 25.0)},
+    lambda r, s: draw_curve(r, 0.35) | {"swings": s.duration / r.uniform(15.0, 25.0)},
     outside=True,
 )
 def friction_over_temperature(plant, swings, **curve):
@@ -111,16 +115,18 @@ def friction_over_temperature(plant, swings, **curve):
         return 22.0 + 2.0 * np.sin(phase) + 1.2 * np.sin(2.7 * phase)
 
     plant.variables["temperature"] = temperature
-    plant.scales.append(lambda t, _q: 1.0 + on_curve(**curve, share=spread(temperature(t))))
+    plant.scales.append(
+        lambda t, _q: 1.0 + evaluate_curve(**curve, share=normalise(temperature(t)))
+    )
 
 
 @effect(
     "height",
     lambda r, _: (
-        some_curve(r, 0.4) | {"channel": str(r.choice(["proximal_tension", "distal_tension"]))}
+        draw_curve(r, 0.4) | {"channel": str(r.choice(["proximal_tension", "distal_tension"]))}
     ),
     outside=True,
     read=True,
 )
 def curved_reading(plant, channel, **curve):
-    plant.read(channel, lambda _t, y, _q: y + on_curve(**curve, share=y / y.max()))
+    plant.read(channel, lambda _t, y, _q: y + evaluate_curve(**curve, share=y / y.max()))

@@ -101,7 +101,7 @@ def _run(time, travel, mu, force, give, k, pretension, spring, n, mass):
     return out
 
 
-def motion(seed, duration=40.0, rate=100.0):
+def draw_motion(seed, duration=40.0, rate=100.0):
     """Return time [s] and the drive pulley's angle [rad]: swings of several depths, both ways."""
     rng = np.random.default_rng(seed)
     ends = [0.0, 1.0, -1.0, 0.7, -0.4, 0.5, -0.8, 0.2, -0.1, 0.6, 0.0, -0.9, 0.9, -0.5, 0.3]

@@ -32,7 +32,7 @@ class GridRecord(NamedTuple):
 
 
 @jit_compile
-def _row(T_in, before, ratio, after):
+def _fill(T_in, before, ratio, after):
     """Fill in the tension of each cell for one at the housing; return their sum [N]."""
     T, total = T_in, 0.0
     for j in range(len(before)):
@@ -43,7 +43,7 @@ def _row(T_in, before, ratio, after):
 
 
 @jit_compile
-def pulled(travel, K, compliance, spring):
+def pull_motor(travel, K, compliance, spring):
     """Return the tensions at housing and tip and the tip's travel under a motor's travel.
 
     `compliance` is L/EA [m/N] of the tendon, `spring` [m/N] that of what the tip pulls at.
@@ -53,22 +53,24 @@ def pulled(travel, K, compliance, spring):
     out = np.zeros((len(travel), 3))
     for i in range(len(travel)):
         low, high = 0.0, 1.0
-        while compliance / CELLS * _row(high, cells, ratio, after) + spring * after[-1] < travel[i]:
+        while (
+            compliance / CELLS * _fill(high, cells, ratio, after) + spring * after[-1] < travel[i]
+        ):
             high *= 2.0
         while high - low > 1e-9:
             middle = 0.5 * (low + high)
-            total = compliance / CELLS * _row(middle, cells, ratio, after) + spring * after[-1]
+            total = compliance / CELLS * _fill(middle, cells, ratio, after) + spring * after[-1]
             if total < travel[i]:
                 low = middle
             else:
                 high = middle
-        _row(high if travel[i] > 0.0 else 0.0, cells, ratio, after)
+        _fill(high if travel[i] > 0.0 else 0.0, cells, ratio, after)
         cells[:] = after
         out[i] = after[0], after[-1], spring * after[-1]
     return out
 
 
-def strokes(rng, full, duration):
+def draw_strokes(rng, full, duration):
     """Return a motor's travel [m] at the inner rate: strokes and rests at random, slack at first.
 
     Every record has a full pull and release, a long rest, and turns without any.
@@ -103,8 +105,8 @@ def make_grid(seed, bench="blocked", duration=60.0, rate=100.0, travel_noise=0.0
     K, compliance = rng.uniform(0.4, 1.5), np.exp(rng.uniform(np.log(8e-5), np.log(3e-4)))
     spring = compliance * rng.uniform(0.5, 3.0) if bench == "spring" else 0.0
     full = TOP * (compliance * -np.expm1(-K) / K + spring * np.exp(-K))
-    travel = strokes(rng, full, duration)
-    true = pulled(travel, K, compliance, spring)
+    travel = draw_strokes(rng, full, duration)
+    true = pull_motor(travel, K, compliance, spring)
     every = round(INNER / rate)
     rows = slice(None, None, every)
 

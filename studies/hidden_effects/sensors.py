@@ -3,24 +3,24 @@
 import numpy as np
 
 
-def gained(gain):
+def build_gain(gain):
     return lambda _t, y, _q: (1.0 + gain) * y
 
 
-def biased(bias):
+def build_bias(bias):
     return lambda _t, y, _q: y + bias
 
 
-def drifting(drift):
+def build_drift(drift):
     """Zero at the start, `drift` at the end."""
     return lambda t, y, _q: y + drift * t / t[-1]
 
 
-def delayed(lag):
+def build_delay(lag):
     return lambda t, y, _q: np.interp(t - lag, t, y)
 
 
-def filtered(lag):
+def build_filter(lag):
     """First order, exact for readings that change evenly between samples."""
 
     def late(t, y, _q):
@@ -38,16 +38,16 @@ def filtered(lag):
     return late
 
 
-def slipped(slip, when):
+def build_slip(slip, when):
     return lambda t, y, _q: y + slip * (t >= when)
 
 
-def wave(amplitude, radius, order, phase):
+def build_wave(amplitude, radius, order, phase):
     """A ripple over the angle of the motor's pulley."""
     return lambda _t, y, q: y + amplitude * np.sin(order * q / radius + phase)
 
 
-def play(travel, width):
+def apply_play(travel, width):
     """Follow `travel` with a play of `width`: stays while it can."""
     out = np.empty_like(travel)
     now = travel[0]
@@ -57,9 +57,9 @@ def play(travel, width):
     return out
 
 
-def rubbing(force, give):
+def build_rub(force, give):
     """+-force by the direction in which the motor moves, taken up over a way of `give`."""
-    return lambda _t, y, q: y + force * (q - play(q, 2 * give)) / give
+    return lambda _t, y, q: y + force * (q - apply_play(q, 2 * give)) / give
 
 
 def measure_channel(rng, y, *, noise=0.0, resolution=0.0, ceiling=np.inf):

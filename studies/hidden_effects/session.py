@@ -16,7 +16,7 @@ from studies.hidden_effects.chain import (
     build_resting_state,
     run,
 )
-from studies.hidden_effects.effects import EFFECTS, OUTSIDE, Plant, Scene, fresh
+from studies.hidden_effects.effects import EFFECTS, OUTSIDE, Plant, Scene, copy_plant
 from studies.hidden_effects.sensors import measure_channel
 
 CHANNELS = ("proximal_tension", "proximal_displacement", "distal_tension", "distal_displacement")
@@ -116,7 +116,7 @@ def make(
     """
     effects = (effects,) if isinstance(effects, str) else tuple(effects)
     there, clean, true, heat = draw_bench(seed, bench, duration, rate)
-    plant, physical = fresh(clean), False
+    plant, physical = copy_plant(clean), False
     sheath = {"K": there.K, "EA": there.EA, "L": there.L, "k": there.tip.stiffness}
     truth = {"sheath": sheath}
     for name in effects:
@@ -169,7 +169,7 @@ def draw_effect(name, seed, bench, duration, rate):
     drawn = effect.draw(np.random.default_rng([seed, zlib.crc32(name.encode())]), scene)
     total = 1.0
     for _ in range(4):
-        plant = fresh(clean)
+        plant = copy_plant(clean)
         effect.act(plant, **scale_parameters(effect, drawn, total))
         changed = there.read(plant, true if effect.read else there.run(plant)[0])
         strength = compute_visibility(changed, true)

@@ -61,7 +61,9 @@ def test_the_variable_and_its_curve_are_found():
     assert found.causes == ("friction_by_position",)
     assert found.residual_fraction < 0.1
     curve, truth = found.curve, made.truth[name]
-    true = hidden_effects.free_curves.on_curve(**truth, share=np.linspace(0.0, 1.0, len(curve.x)))
+    true = hidden_effects.free_curves.evaluate_curve(
+        **truth, share=np.linspace(0.0, 1.0, len(curve.x))
+    )
     true = (1.0 + true) / (1.0 + np.median(true)) - 1.0
     inner = slice(10, -10)
     assert np.corrcoef(curve.value[inner], true[inner])[0, 1] > 0.95

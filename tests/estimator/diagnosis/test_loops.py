@@ -15,7 +15,7 @@ from estimator.diagnosis.record import RecordError
 from estimator.measured_data import Samples
 from estimator.units import ROTARY
 from studies import hidden_effects
-from studies.hidden_effects.loop import Loop, motion, run
+from studies.hidden_effects.loop import Loop, draw_motion, run
 
 ANGLE_NOISE = 5e-5  # [rad]
 TORQUE_NOISE = 0.002  # of the range
@@ -23,7 +23,7 @@ TORQUE_NOISE = 0.002  # of the range
 
 def recorded(loop, seed=1, duration=24.0, rate=60.0):
     """Return a noisy record of a loop."""
-    time, angle = motion(seed, duration, rate)
+    time, angle = draw_motion(seed, duration, rate)
     torque, at_tip, turned = run(loop, time, angle)
     rng = np.random.default_rng(seed)
 

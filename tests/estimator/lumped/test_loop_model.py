@@ -7,7 +7,7 @@ from estimator.lumped.loop_model import simulate_loop
 from estimator.lumped.loop_solver import WORK_ROWS, Line, solve_balance
 from estimator.lumped.lumped_model import Physics
 from estimator.lumped.nodes import NODES, build_even_weights
-from studies.hidden_effects.loop import Loop, motion, run
+from studies.hidden_effects.loop import Loop, draw_motion, run
 
 TIME = np.arange(800) / 50.0
 TRAVEL = 3e-3 * np.sin(TIME) * np.cos(0.23 * TIME)
@@ -54,7 +54,7 @@ def test_a_way_there_and_back_costs_energy():
     ids=["capstan, held", "load-independent", "both, slack"],
 )
 def test_a_simulation_in_time_agrees(loop):
-    time, angle = motion(3, duration=12.0, rate=50.0)
+    time, angle = draw_motion(3, duration=12.0, rate=50.0)
     torque, at_tip, turned = run(loop, time, angle)
     K = max(loop.K, 1e-3)
     out = moved(
