@@ -20,7 +20,6 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.plausibility import find_channel_faults
 from estimator.report_table import Table
-from teleop.cli.diagnose.diagnosis_run import TENSIONS
 from teleop.config import strict_yaml
 from teleop.config.loading import as_tree
 from teleop.config.options import TABLE_OPTIONS, add_options
@@ -35,6 +34,7 @@ from teleop.data.mapping_file import (
 )
 from teleop.data.measured_table import MeasuredTable, read_runs
 from teleop.data.read_summary import GAP_PERIODS, ReadSummary
+from teleop.data.standard_columns import TENSIONS
 from teleop.errors import UsageError
 from teleop.runtime.output_file import FIGURE_SUFFIXES, OutputFile, save_figure
 from teleop.runtime.process import write_summary, write_text_file

@@ -34,6 +34,8 @@ STANDARD_NAMES: Mapping[Units, Mapping[str, str]] = MappingProxyType(
 )
 """Channel -> standard column, by units."""
 
+TENSIONS = ("proximal_tension", "distal_tension")  # whose zero errors a diagnosis identifies
+
 # further columns of a sensing loop: at the moved and at the held end
 LOOP_TENSIONS = "loop_moved_tension_N", "loop_held_tension_N"
 # further columns of an arm's record: tension of a tendon where it ends, and the joints

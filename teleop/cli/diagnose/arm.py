@@ -20,7 +20,13 @@ from teleop.cli.html_page import Page, to_json_values
 from teleop.config.loading import load
 from teleop.data.mapping_file import load_mapping
 from teleop.data.measured_table import MeasuredTable, read_tables
-from teleop.data.standard_columns import ANCHOR_TENSION, JOINT_ANGLE, Columns, format_numbered_name
+from teleop.data.standard_columns import (
+    ANCHOR_TENSION,
+    JOINT_ANGLE,
+    TENSIONS,
+    Columns,
+    format_numbered_name,
+)
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder
 from teleop.runtime.process import write_summary, write_text_file
@@ -75,7 +81,7 @@ def run(args: argparse.Namespace, noise: dict[str, float]) -> int:
         args.data[0],
         [Columns.from_tendon(k) for k in range(1, len(names) + 1)],
         args.drop_nonfinite,
-        zero_errors=("proximal_tension", "distal_tension"),
+        zero_errors=TENSIONS,
         diagnosed=True,
         mapping=mapping,
     )

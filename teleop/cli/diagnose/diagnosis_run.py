@@ -23,7 +23,7 @@ from teleop.data.effect_extensions import is_extension, load_effects
 from teleop.data.mapping_file import NamedColumns, TableMapping, load_mapping, parse_column_options
 from teleop.data.measured_table import MeasuredTable, read_runs
 from teleop.data.read_summary import ReadSummary
-from teleop.data.standard_columns import to_channel
+from teleop.data.standard_columns import TENSIONS, to_channel
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder
 from teleop.runtime.process import write_summary, write_text_file
@@ -101,9 +101,6 @@ def write_residuals(path: Path, diagnosis: Diagnosis, files: Sequence[str]) -> N
 def _build_panel(title: str, time: Array, lines: dict[tuple[str, int], Array]) -> PlotPanel:
     curves = (PlotCurve(name, colour, time, values) for (name, colour), values in lines.items())
     return PlotPanel(title, tuple(curves))
-
-
-TENSIONS = ("proximal_tension", "distal_tension")  # whose zero errors a diagnosis identifies
 
 
 class DiagnosisData(NamedTuple):
