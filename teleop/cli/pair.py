@@ -135,12 +135,12 @@ def _read_record(
     bend = config.bend_of(path)
     raw = read_columns(path, mapping)
     named = {f.name: getattr(config.columns, f.name) for f in fields(PairColumns)}
-    columns = {item: _parse_column(path, raw, config, item, mapping) for item in named}
+    columns = {item: _parse_column(raw, config, item, mapping) for item in named}
     if raw.remarks:
         print_warning(f"{path}: {'; '.join(raw.remarks)}")
     if not len(columns["time"]):
         raise UsageError(f"{path}: has a header but no rows")
-    starts = split_runs(path, raw, columns["time"], named.values(), mapping)
+    starts = split_runs(raw, columns["time"], named.values(), mapping)
     runs = list_runs(path, starts, len(columns["time"]), mapping)
     if len(runs) > 1:
         places = ", ".join(map(raw.place, starts))
@@ -148,9 +148,9 @@ def _read_record(
     ((number, rows),) = runs
     columns = {item: column[rows.start : rows.stop] for item, column in columns.items()}
     raw, time = raw.select(rows), columns["time"]
-    check_time(path, raw, config.columns.time, time, "convert it to seconds")
+    check_time(raw, config.columns.time, time, "convert it to seconds")
     for item in ("tension_a", "tension_b"):
-        check_effort(path, raw, named[item], columns[item], may_err=True)
+        check_effort(raw, named[item], columns[item], may_err=True)
     _check_columns(path, columns, config)
     columns |= {item: config.radians * columns[item] for item in ("command", "angle")}
     channels = {item: (Source(named[item], "", 1.0), values) for item, values in columns.items()}
@@ -175,32 +175,29 @@ def _check_columns(path: Path, columns: Mapping[str, Array], config: PairConfig)
             )
 
 
-def _parse_column(
-    path: Path, raw: RawTable, config: PairConfig, item: str, mapping: TableMapping
-) -> Array:
+def _parse_column(raw: RawTable, config: PairConfig, item: str, mapping: TableMapping) -> Array:
     name = getattr(config.columns, item)
     rate = mapping.rate_hz if item == "time" else None
     if rate and name not in raw.columns:
         return np.arange(len(next(iter(raw.columns.values())))) / rate
     if name not in raw.columns:
         raise UsageError(
-            f"{path}: there is no column {name!r} (it has {', '.join(raw.columns)}); "
+            f"{raw.path}: there is no column {name!r} (it has {', '.join(raw.columns)}); "
             f"--columns FILE says what {item} is called"
         )
     expected = {"time": "s", "command": config.unit, "angle": config.unit}.get(item, "N")
     if (unit := raw.units.get(name, expected)) != expected:
         raise UsageError(
-            f"{path}: column {name!r}: the row below its name says {unit}, and {expected} is read: "
-            "convert it"
+            f"{raw.path}: column {name!r}: the row below its name says {unit}, and {expected} is "
+            "read: convert it"
         )
-    column = parse_column(path, raw, name, mapping, is_time=item == "time")
+    column = parse_column(raw, name, mapping, is_time=item == "time")
     if rate:
         numbers = {name: column}
-        number_samples(path, raw, name, numbers, rate)
+        number_samples(raw, name, numbers, rate)
         column = numbers[name] / rate
     if (missing := np.flatnonzero(~np.isfinite(column))).size:
-        location = raw.place(int(missing[0]))
-        raise UsageError(f"{path}: column {name!r}, {location}: is blank or not finite")
+        raise UsageError(f"{raw.locate(name, int(missing[0]))}: is blank or not finite")
     return column
 
 

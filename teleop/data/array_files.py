@@ -175,4 +175,4 @@ def _assemble(
     read_limits.check_size(path, len(table), rows, "keep what is needed")
     left_out = [name for name in columns if not any(t.partition(":")[0] == name for t in table)]
     remarks = (f"{', '.join(left_out)} left out, not of {rows} values",) if left_out else ()
-    return RawTable(table, lambda row: f"row {row + 1}", units=units or {}, remarks=remarks)
+    return RawTable(path, table, lambda row: f"row {row + 1}", units=units or {}, remarks=remarks)

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -39,7 +38,6 @@ def replace_aliases(columns: Columns, aliases: Mapping[str, str]) -> Columns:
 
 
 def detect_file_units(
-    path: Path,
     raw: RawTable,
     aliases: Mapping[str, str],
     tendons: Sequence[Columns],
@@ -51,22 +49,22 @@ def detect_file_units(
     present = [*aliases, *(name for name in raw.columns if name not in aliases.values())]
     if not diagnosed and all(effort in present for effort in efforts):
         return LINEAR
-    standard_columns.check_names(path, present)
+    standard_columns.check_names(raw.path, present)
     if has_own_names:
         standard_columns.check_linear_names(
-            path, [n for c in tendons for n in c.list_names().values()]
+            raw.path, [n for c in tendons for n in c.list_names().values()]
         )
     units = (
         LINEAR
         if has_own_names
         else standard_columns.detect_units(
-            path, present, standard_columns.parse_tendon_number(efforts[0])
+            raw.path, present, standard_columns.parse_tendon_number(efforts[0])
         )
     )
     if units.signed and not diagnosed:
         kind = "torque and angle" if units.rotary else "a force of either sign"
         raise UsageError(
-            f"{path}: has {kind}; only `teleop diagnose` reads these, here the tension of one "
+            f"{raw.path}: has {kind}; only `teleop diagnose` reads these, here the tension of one "
             "tendon is needed (proximal_tension_N)"
         )
     return units
@@ -88,7 +86,6 @@ def _list_tensions(names: Iterable[str]) -> list[str]:
 
 
 def find_columns(
-    path: Path,
     raw: RawTable,
     columns: Columns,
     claimed: set[str],
@@ -111,7 +108,7 @@ def find_columns(
             continue
         optional = item not in required and columns.is_standard(item)
         if raw.lacks and not optional:
-            raise UsageError(f"{path}: {raw.lacks}")
+            raise UsageError(f"{raw.path}: {raw.lacks}")
         if (unclear := unstated.get(name)) in unclaimed:
             what, unit = name.rpartition("_")[::2]
             rate = ""
@@ -122,13 +119,13 @@ def find_columns(
                 size = UNIT_FACTORS["time"].get(unit, 0.0) * period
                 rate = f" ({1.0 / size:.4g} Hz)" if size > 0.0 else ""
             raise UsageError(
-                f"{path}: column {unclear!r} states no unit that fits; say it: --column "
+                f"{raw.path}: column {unclear!r} states no unit that fits; say it: --column "
                 f"'{what}={unclear}[{unit}]'{rate}{_ask_for_tension(item, columns, raw, unclaimed)}"
             )
         candidates = _list_tensions(unclaimed) if item == "proximal_tension" else []
         if len(candidates) > 1 and not optional:
             raise UsageError(
-                f"{path}: {' and '.join(candidates)}: say which is the tension at the housing: "
+                f"{raw.path}: {' and '.join(candidates)}: say which is the tension at the housing: "
                 f"--column 'proximal_tension={candidates[0]}'; or an antagonistic pair: teleop pair"
             )
         hint = suggest_spelling(name, unclaimed, cutoff=0.88 if optional else 0.6)
@@ -140,7 +137,7 @@ def find_columns(
             has = ", ".join(list(raw.columns)[:NAMES_SHOWN]) + ", ..." * (
                 len(raw.columns) > NAMES_SHOWN
             )
-            raise UsageError(f"{path}: no column {name!r}{advice} (it has {has})")
+            raise UsageError(f"{raw.path}: no column {name!r}{advice} (it has {has})")
     return columns_found
 
 

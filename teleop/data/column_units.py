@@ -112,7 +112,7 @@ class Aliases(NamedTuple):
     unstated: dict[str, str]  # without one
 
 
-def find_aliases(path: Path, raw: RawTable) -> Aliases:
+def find_aliases(raw: RawTable) -> Aliases:
     """Return which columns are standard ones in another unit or spelling.
 
     Raises `UsageError` if two columns could be one.
@@ -142,7 +142,7 @@ def find_aliases(path: Path, raw: RawTable) -> Aliases:
         if stated and standard in aliases.stated:
             what = "time" if standard == "time_s" else standard.rpartition("_")[0]
             raise UsageError(
-                f"{path}: which is it, {aliases.stated[standard]!r} or {name!r}? Say --column "
+                f"{raw.path}: which is it, {aliases.stated[standard]!r} or {name!r}? Say --column "
                 f"'{what}={name}'"
             )
         aliases[not stated][standard] = name

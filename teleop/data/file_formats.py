@@ -223,7 +223,7 @@ def _join_batches(path: Path, schema: Any, batches: Iterable[Any]) -> RawTable:
         clean_name(name): np.concatenate(part) if part else np.empty(0)
         for name, part in zip(schema.names, parts, strict=True)
     }
-    return RawTable(columns, lambda row: f"row {row + 1}")
+    return RawTable(path, columns, lambda row: f"row {row + 1}")
 
 
 def _check_footer(path: Path) -> None:
@@ -338,7 +338,7 @@ def _read_recording(path: Path, _: TableMapping, names: Sequence[str] = ()) -> R
             column = np.array(rows[field][:, tendon])
             if not np.isnan(column).all():  # all NaN means that there is no such sensor
                 columns[name.format(number)] = column
-    return RawTable(columns, lambda row: f"message {row + 1}", clocked=True)
+    return RawTable(path, columns, lambda row: f"message {row + 1}", clocked=True)
 
 
 def _read_bag(path: Path, names: Sequence[str]) -> RawTable:
@@ -346,7 +346,7 @@ def _read_bag(path: Path, names: Sequence[str]) -> RawTable:
     from teleop.ros.bag_table import read_bag
 
     columns, lacks = read_bag(path, names)
-    return RawTable(columns, lambda row: f"message {row + 1}", lacks, clocked=True)
+    return RawTable(path, columns, lambda row: f"message {row + 1}", lacks, clocked=True)
 
 
 def _write_csv(path: Path, columns: Mapping[str, Column]) -> None:

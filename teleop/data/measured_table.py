@@ -8,7 +8,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,15 +115,20 @@ def get_loop_tension(table: MeasuredTable, number: int = 1) -> Array | None:
     return np.column_stack([np.asarray(table.extra[name], np.float64) for name in names])
 
 
+class ReadOptions(TypedDict, total=False):
+    """Options of `read_table`, by name."""
+
+    zero_errors: Collection[str]
+    diagnosed: bool
+    units: Units | None
+    mapping: TableMapping | None
+
+
 def read_table(
     path: Path | str,
     columns: Columns | None = None,
     drop_nonfinite: bool = False,
-    *,
-    zero_errors: Collection[str] = (),
-    diagnosed: bool = False,
-    units: Units | None = None,
-    mapping: TableMapping | None = None,
+    **options: Unpack[ReadOptions],
 ) -> MeasuredTable:
     """Read and check the samples of one tendon.
 
@@ -152,28 +157,20 @@ def read_table(
     UsageError
         The file or its content is invalid.
     """
-    tendons = (columns or Columns(),)
-    options: dict[str, Any] = {"zero_errors": zero_errors, "diagnosed": diagnosed, "units": units}
-    options["mapping"] = mapping
-    return read_tables(Path(path), tendons, drop_nonfinite, **options)[0]
+    return read_tables(Path(path), (columns or Columns(),), drop_nonfinite, **options)[0]
 
 
 def read_tables(
     path: Path,
     tendons: Sequence[Columns],
     drop_nonfinite: bool = False,
-    *,
-    zero_errors: Collection[str] = (),
-    diagnosed: bool = False,
-    units: Units | None = None,
-    mapping: TableMapping | None = None,
+    **options: Unpack[ReadOptions],
 ) -> tuple[MeasuredTable, ...]:
     """Read and check the samples of several tendons of one file; see `read_table`.
 
     A row omitted for one tendon is omitted for all. Of several runs the mapping says which one.
     """
-    options: dict[str, Any] = {"zero_errors": zero_errors, "diagnosed": diagnosed, "units": units}
-    runs = read_runs(path, tendons, drop_nonfinite, mapping=mapping, **options)
+    runs = read_runs(path, tendons, drop_nonfinite, **options)
     if len(runs) > 1:
         raise UsageError(f"{path}: has {len(runs)} runs, one is read here: --run N (slave.rig.run)")
     return runs[0]
@@ -183,17 +180,14 @@ def read_runs(
     path: Path,
     tendons: Sequence[Columns],
     drop_nonfinite: bool = False,
-    *,
-    zero_errors: Collection[str] = (),
-    diagnosed: bool = False,
-    units: Units | None = None,
-    mapping: TableMapping | None = None,
+    **options: Unpack[ReadOptions],
 ) -> list[tuple[MeasuredTable, ...]]:
     """Read and check all runs of a file, or the one that the mapping says; see `read_tables`."""
-    mapping = mapping or TableMapping()
+    mapping, units = options.get("mapping") or TableMapping(), options.get("units")
+    diagnosed, zero_errors = options.get("diagnosed", False), options.get("zero_errors", ())
     named = [name for columns in tendons for name in columns.list_names().values()]
     raw = read_columns(path, mapping, named)
-    aliases = find_aliases(path, raw)
+    aliases = find_aliases(raw)
     clocks = ("time_s", tendons[0].time)
     has_clock = "time_s" in aliases.stated or any(name in raw.columns for name in clocks)
     if mapping.rate_hz and not has_clock:
@@ -208,24 +202,23 @@ def read_runs(
         for c, t in zip(tendons, notes, strict=True)
     ]
     if units is None:
-        units = detect_file_units(path, raw, aliases.stated, tendons, diagnosed)
+        units = detect_file_units(raw, aliases.stated, tendons, diagnosed)
     tendons = [replace_aliases(columns.to_units(units), aliases.stated) for columns in tendons]
     claimed = {name for columns in tendons for name in columns.list_names().values()}
     is_pair = diagnosed and len(tendons) == 1 and is_travel_pair(raw, tendons[0])
     required_items = ["time"] if is_pair else ["time", "proximal_tension"]
     tables_columns = [
-        find_columns(path, raw, columns, claimed, aliases.unstated, required_items)
-        for columns in tendons
+        find_columns(raw, columns, claimed, aliases.unstated, required_items) for columns in tendons
     ]
     clock = tables_columns[0]["time"]
     numbers = {
-        name: parse_column(path, raw, name, mapping, is_time=name == clock)
+        name: parse_column(raw, name, mapping, is_time=name == clock)
         for names in tables_columns
         for name in names.values()
     }
     is_clocked = raw.clocked or time_text.has_moments(raw.columns[clock])
     if mapping.rate_hz:
-        if number_samples(path, raw, clock, numbers, mapping.rate_hz):
+        if number_samples(raw, clock, numbers, mapping.rate_hz):
             told_of = f"times of {clock!r} are coarse, --rate counts"
             raw = replace(raw, remarks=(*raw.remarks, told_of))
         for note in notes:
@@ -238,7 +231,7 @@ def read_runs(
     remarks += [_describe_words(name, raw.words[name]) for name in numbers if name in raw.words]
     if not len(numbers[clock]):
         raise UsageError(f"{path}: has a header but no rows")
-    starts = split_runs(path, raw, numbers[clock], numbers, mapping)
+    starts = split_runs(raw, numbers[clock], numbers, mapping)
     if len(starts) > 1:
         begins = [f"{raw.place(row)} ({why})" for row, why in starts.items() if why]
         more = ", ..." * (len(begins) > NAMES_SHOWN)
@@ -259,7 +252,6 @@ def read_runs(
     runs = []
     for number, span in list_runs(path, starts, len(numbers[clock]), mapping):
         part, values, dropped = _clean_rows(
-            path,
             raw.select(span),
             {name: column[span.start : span.stop] for name, column in numbers.items()},
             required,
@@ -271,7 +263,7 @@ def read_runs(
         tables = []
         for names, noted in zip(tables_columns, notes, strict=True):
             stated = {item for item, (_, unit) in noted.items() if unit}
-            check_samples(path, part, names, values, zero_errors, diagnosed, units, stated, factors)
+            check_samples(part, names, values, zero_errors, diagnosed, units, stated, factors)
             samples: dict[str, Any] = dict.fromkeys(Columns().list_names())
             samples |= {item: values[name] for item, name in names.items()}
             if "proximal_tension" not in names:
@@ -283,20 +275,18 @@ def read_runs(
 
 
 def _clean_rows(
-    path: Path, raw: RawTable, numbers: dict[str, Array], required: Collection[str], drop: bool
+    raw: RawTable, numbers: dict[str, Array], required: Collection[str], drop: bool
 ) -> tuple[RawTable, dict[str, Array], int]:
     """Return a run without the rows that are dropped, and their number; NaN where not required."""
-    numbers = {n: c if n in required else _mark_missing(path, n, c) for n, c in numbers.items()}
-    keep = _find_finite_rows(path, raw, {name: numbers[name] for name in required}, drop)
+    numbers = {n: c if n in required else _mark_missing(raw.path, n, c) for n, c in numbers.items()}
+    keep = _find_finite_rows(raw, {name: numbers[name] for name in required}, drop)
     if dropped := len(keep) - int(keep.sum()):
         raw = raw.select(np.flatnonzero(keep))
         numbers = {name: column[keep] for name, column in numbers.items()}
     return raw, numbers, dropped
 
 
-def number_samples(
-    path: Path, raw: RawTable, name: str, numbers: dict[str, Array], rate_hz: float
-) -> bool:
+def number_samples(raw: RawTable, name: str, numbers: dict[str, Array], rate_hz: float) -> bool:
     """Put the numbers of samples in place of times of a coarse clock; return whether it is one.
 
     Raises `UsageError` if a time is no number of a sample, and the clock of another rate.
@@ -309,12 +299,13 @@ def number_samples(
             numbers[name] = np.arange(float(len(time)))
             return True
         raise UsageError(
-            f"{path}: column {name!r}: --rate {rate_hz:g}, but by its whole ticks {found[0]:.4g} Hz"
+            f"{raw.path}: column {name!r}: --rate {rate_hz:g}, but by its whole ticks "
+            f"{found[0]:.4g} Hz"
         )
     if step != 1.0:
         unit = propose_time_unit(step)
         raise UsageError(
-            f"{path}: column {name!r}, {raw.place(1)}: its steps are {step:.6g}, so it does not "
+            f"{raw.locate(name, 1)}: its steps are {step:.6g}, so it does not "
             f"number samples; without --rate, name its unit: --column 'time={name}[{unit}]'"
         )
     return False
@@ -329,9 +320,7 @@ def _describe_words(name: str, words: Mapping[str, int]) -> str:
     return f"column {name!r} has {', '.join(examples)}"
 
 
-def parse_column(
-    path: Path, raw: RawTable, name: str, mapping: TableMapping, *, is_time: bool
-) -> Array:
+def parse_column(raw: RawTable, name: str, mapping: TableMapping, *, is_time: bool) -> Array:
     """Return a column as numbers; `UsageError` names the first cell that is not one."""
     column = raw.columns[name]
     if column.dtype != object:
@@ -343,13 +332,13 @@ def parse_column(
                 column, raw.place, mapping.time_format, raw.columns[dates[0]] if dates else None
             )
         except ValueError as error:
-            raise UsageError(f"{path}: column {name!r}, {error}") from None
+            raise UsageError(f"{raw.path}: column {name!r}, {error}") from None
     numbers = np.empty(len(column))
     for row, cell in enumerate(column):
         number = to_number(cell, raw.decimal) if isinstance(cell, str) else cell
         if number is None and cell is not None:
-            location = f"{path}: column {name!r}, {raw.place(row)}"
-            raise UsageError(f"{location}: {cell[:40]!r} is not a number{_explain_text(cell)}")
+            place = raw.locate(name, row)
+            raise UsageError(f"{place}: {cell[:40]!r} is not a number{_explain_text(cell)}")
         numbers[row] = np.nan if number is None else number
     return numbers
 
@@ -365,25 +354,23 @@ def _explain_text(cell: str) -> str:
     return "; leave a missing value blank"
 
 
-def _find_finite_rows(
-    path: Path, raw: RawTable, numbers: Mapping[str, Array], drop: bool
-) -> NDArray[np.bool_]:
+def _find_finite_rows(raw: RawTable, numbers: Mapping[str, Array], drop: bool) -> NDArray[np.bool_]:
     """Return the mask of finite rows; raise if there are others that must not be dropped."""
     keep = np.ones(len(next(iter(numbers.values()))), dtype=np.bool_)
     for name, column in numbers.items():
         is_finite = np.isfinite(column)
         if not drop:
-            _mark_missing(path, name, column)
+            _mark_missing(raw.path, name, column)
         if not drop and not is_finite.all():
             bad = np.flatnonzero(~is_finite)
             raise UsageError(
-                f"{path}: column {name!r}: {len(bad)} of {len(column)} values are missing or not "
-                f"finite, the first in {raw.place(int(bad[0]))}; use --drop-nonfinite to omit "
+                f"{raw.path}: column {name!r}: {len(bad)} of {len(column)} values are missing or "
+                f"not finite, the first in {raw.place(int(bad[0]))}; use --drop-nonfinite to omit "
                 "these rows"
             )
         keep &= is_finite
     if not keep.any():
-        raise UsageError(f"{path}: no row has a time and all readings at the housing")
+        raise UsageError(f"{raw.path}: no row has a time and all readings at the housing")
     return keep
 
 

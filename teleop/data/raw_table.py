@@ -69,6 +69,7 @@ class Layout:
 class RawTable:
     """The raw columns of a file; `place(row)` is the place of row 0, 1, ... in messages."""
 
+    path: Path
     columns: Mapping[str, Column]
     place: Callable[[int], str]
     lacks: str = ""  # why columns of a tendon are not there, one line
@@ -78,6 +79,10 @@ class RawTable:
     words: Mapping[str, Counter[str]] = field(default_factory=dict)  # by column: no numbers
     remarks: tuple[str, ...] = ()  # how the file differs from one of this project
     breaks: tuple[int, ...] = ()  # rows above which the names come again
+
+    def locate(self, name: str, row: int) -> str:
+        """Return the place of a cell, for messages."""
+        return f"{self.path}: column {name!r}, {self.place(row)}"
 
     def select(self, rows: range | NDArray[np.intp]) -> Self:
         """Return some rows of a file, which keep their places; of a range without a copy."""

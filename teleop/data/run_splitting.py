@@ -30,7 +30,7 @@ _RUN_NAME = re.compile(
 
 
 def split_runs(
-    path: Path, raw: RawTable, time: Array, used: Collection[str], mapping: TableMapping
+    raw: RawTable, time: Array, used: Collection[str], mapping: TableMapping
 ) -> dict[int, str]:
     """Return the first row of each run, and why it begins there.
 
@@ -43,10 +43,10 @@ def split_runs(
         return {0: ""}
     column, starts = mapping.run_column, {0: ""} | dict.fromkeys(raw.breaks, "the names come again")
     if column and column not in raw.columns:
-        raise UsageError(f"{path}: has no column {column!r} (run_column)")
+        raise UsageError(f"{raw.path}: has no column {column!r} (run_column)")
     names = [n for n in raw.columns if n not in used and _RUN_NAME.fullmatch(n.lower())]
     for name in [column] if column else names:
-        rows = _find_changes(path, raw, name)
+        rows = _find_changes(raw, name)
         starts |= {row: f"column {name!r} changes" for row in rows if row not in starts}
     if not raw.clocked:
         ends = [*sorted(starts)[1:], len(time)]
@@ -81,7 +81,7 @@ def is_overflow(back: float, period: float) -> bool:
     return any(abs(back - each) <= 2.0 * period for each in _COUNTERS)
 
 
-def _find_changes(path: Path, raw: RawTable, name: str) -> list[int]:
+def _find_changes(raw: RawTable, name: str) -> list[int]:
     """Return the rows at which a column has another value; a blank one is that above."""
     column: Column = raw.columns[name]
     is_text = column.dtype == object
@@ -96,7 +96,7 @@ def _find_changes(path: Path, raw: RawTable, name: str) -> list[int]:
     if len(changes) >= max(kinds, 1):
         k = next(k for k in changes if values[k] in values[:k])
         raise UsageError(
-            f"{path}: column {name!r}, {raw.place(int(known[k]))}: {values[k]} comes again after "
+            f"{raw.locate(name, int(known[k]))}: {values[k]} comes again after "
             f"other runs: sort the rows by {name!r}; if it names no run, --run 0"
         )
     return [int(row) for row in known[changes]]

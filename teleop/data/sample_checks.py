@@ -34,7 +34,6 @@ ZERO_SHARE = 0.25  # of its peak, where a wrong zero is identified or only score
 
 
 def check_samples(
-    path: Path,
     raw: RawTable,
     names: Mapping[str, str],
     numbers: Mapping[str, Array],
@@ -54,15 +53,14 @@ def check_samples(
     remedy = f"name the unit, --column 'time={name}[UNIT]', or [{unit}] if it is right"
     asks = unit in ("ms", "us", "µs", "ns") and "proximal_displacement" not in names
     asked = "" if "time" in stated else remedy
-    check_time(path, raw, name, numbers[name], asked, *factors[name], asks_if_brief=asks)
+    check_time(raw, name, numbers[name], asked, *factors[name], asks_if_brief=asks)
     channels = {item: numbers[name] for item, name in names.items() if item != "time"}
-    _check_common_rows(path, names, channels)
+    _check_common_rows(raw.path, names, channels)
     for item in ("proximal_tension", "distal_tension"):
         if item in names:
             option = standard_columns.STANDARD_NAMES[units][item].rpartition("_")[0]
             loop = f"; a closed loop's forces are named {item.replace('tension', 'force')}_N"
             check_effort(
-                path,
                 raw,
                 names[item],
                 numbers[names[item]],
@@ -86,13 +84,13 @@ def check_samples(
                 option, other, unit = item.replace("displacement", "angle"), "deg", "rad"
             unit = factors[name][0] or unit
             raise UsageError(
-                f"{path}: column {name!r}, {raw.place(row)}: {fault}"
+                f"{raw.locate(name, row)}: {fault}"
                 f"{_explain_sentinel(float(travel[row]))} Name the unit, "
                 f"--column '{option}={name}[{other}]', or [{unit}] if it is right"
             )
     if "time" not in stated and "proximal_displacement" in names:
         clock, travel = names["time"], numbers[names["proximal_displacement"]]
-        _check_speed(path, raw, clock, numbers[clock], travel, units, remedy, *factors[clock])
+        _check_speed(raw, clock, numbers[clock], travel, units, remedy, *factors[clock])
 
 
 def _check_common_rows(path: Path, names: Mapping[str, str], channels: Mapping[str, Array]) -> None:
@@ -108,7 +106,6 @@ def _check_common_rows(path: Path, names: Mapping[str, str], channels: Mapping[s
 
 
 def _check_speed(
-    path: Path,
     raw: RawTable,
     name: str,
     time: Array,
@@ -129,7 +126,7 @@ def _check_speed(
     slowest, limit = SPEED_RANGES[units.travel]
     if fastest > limit or (0.0 < fastest < slowest and period > LONG_PERIOD):
         raise UsageError(
-            f"{path}: column {name!r}, {raw.place(0)}: the drive moves at {fastest:.3g} "
+            f"{raw.locate(name, 0)}: the drive moves at {fastest:.3g} "
             f"{units.travel}/s at most: is the unit of time right? Else "
             + _name_unit(remedy, period / factor, unit, slower=fastest > limit)
         )
@@ -141,7 +138,6 @@ def _name_unit(remedy: str, period: float, unit: str, *, slower: bool) -> str:
 
 
 def check_time(
-    path: Path,
     raw: RawTable,
     name: str,
     time: Array,
@@ -159,7 +155,7 @@ def check_time(
     periods = np.diff(time)
     if (late_rows := np.flatnonzero(periods <= 0.0)).size:
         row = int(late_rows[0]) + 1
-        location = f"{path}: column {name!r}, {raw.place(row)}"
+        location = raw.locate(name, row)
         back = f"time goes back from {float(time[row - 1]):.6g} to {float(time[row]):.6g}"
         restarts = time[row] < time[0] + 0.1 * (time[row - 1] - time[0])
         period, step = float(np.median(np.abs(periods))), float(time[row - 1] - time[row])
@@ -170,9 +166,11 @@ def check_time(
             )
         if restarts and row > 1 and raw.place(row).startswith("line "):
             line = int(raw.place(row).removeprefix("line "))
-            raise UsageError(f"{path}: {describe_second_record(path, line, back)}")
+            raise UsageError(f"{raw.path}: {describe_second_record(raw.path, line, back)}")
         fault = f"{float(time[row])!r} does not come after {float(time[row - 1])!r}"
-        hint = " (a recording: was the slave restarted there?)" if path.suffix == ".mcap" else ""
+        hint = (
+            " (a recording: was the slave restarted there?)" if raw.path.suffix == ".mcap" else ""
+        )
         remedy = ""
         if (equal := int((periods == 0.0).sum())) > SPEED_ROWS:
             rate = f"{estimate_rate(time):.4g}".replace("nan", "HZ")
@@ -185,7 +183,7 @@ def check_time(
     median, duration = float(np.median(periods)), float(time[-1] - time[0])
     if median > PERIOD_MAX or (median > LONG_PERIOD and duration > LONG_DURATION):
         raise UsageError(
-            f"{path}: column {name!r}, {raw.place(1)}: samples are {median:.6g} s apart, "
+            f"{raw.locate(name, 1)}: samples are {median:.6g} s apart, "
             f"{duration:.6g} s in all: milliseconds, or sample numbers? Then "
             f"{_name_unit(remedy, median / factor, unit, slower=False)}; of sample numbers give "
             "the rate, --rate HZ"
@@ -193,7 +191,7 @@ def check_time(
     brief = asks_if_brief and median < SHORT_PERIOD and duration < SHORT_DURATION
     if (brief or median < PERIOD_MIN) and len(periods) >= SPEED_ROWS:
         raise UsageError(
-            f"{path}: column {name!r}, {raw.place(1)}: samples are {median:.3g} s apart, "
+            f"{raw.locate(name, 1)}: samples are {median:.3g} s apart, "
             f"{duration:.3g} s in all, faster than tendons are measured: seconds, minutes, "
             f"hours or days? Then {_name_unit(remedy, median / factor, unit, slower=True)}"
         )
@@ -218,7 +216,6 @@ def _find_device_column(raw: RawTable) -> str:
 
 
 def check_effort(
-    path: Path,
     raw: RawTable,
     name: str,
     effort: Array,
@@ -249,7 +246,7 @@ def check_effort(
         grouped = " (its thousands separators are read as such)"
         how = grouped * (THOUSANDS in raw.words.get(name, ())) + how
         raise UsageError(
-            f"{path}: column {name!r}, {raw.place(row)}: {peak:.6g} is too large for a {what}"
+            f"{raw.locate(name, row)}: {peak:.6g} is too large for a {what}"
             f"{_explain_sentinel(peak)}{how}; or remove the spike"
         )
     if units.signed:
@@ -264,7 +261,7 @@ def check_effort(
             f"{-floor:.3g} N); correct its zero or its sign{hint}{remedy}"
         )
         fault += _explain_sentinel(float(effort[low]))
-        raise UsageError(f"{path}: column {name!r}, {raw.place(low)}: {fault}")
+        raise UsageError(f"{raw.locate(name, low)}: {fault}")
 
 
 def _explain_sentinel(value: float) -> str:

@@ -330,6 +330,7 @@ def read_rows(path: Path, layout: Layout, rows: Iterable[Row], unit: str = "line
         if name or any(not _is_blank(part[i]) for part in parts)
     }
     return RawTable(
+        path,
         columns,
         lambda row: f"{unit} {lines[row]}",
         units=layout.units,
@@ -448,6 +449,7 @@ def _read_encoded(path: Path, encoding: str, mapping: TableMapping) -> RawTable:
         columns = large_csv.read(path, layout, first)
         if columns is not None:
             return RawTable(
+                path,
                 columns,
                 lambda row: f"line {_find_line(path, layout, row)}",
                 units=layout.units,
