@@ -82,15 +82,15 @@ def test_trials_take_place_in_one_session_and_are_marked_in_its_recording(tmp_pa
 
 @pytest.mark.real_time
 def test_a_scripted_hand_that_lets_go_for_good_ends_the_experiment_and_keeps_its_trials(tmp_path):
-    config = load_config(DEMO, SLOW | {"master.device.engage": [[0.5, 3.0]],
+    config = load_config(DEMO, SLOW | {"master.device.engage": [[0.5, 2.0]],
                                        "master.device.engage_period": 1000.0})  # fmt: skip
     experiment = Experiment(name="test", design=Design(procedure=ConstantStimuli((0.0,), 100)),
                             duration=0.3)  # fmt: skip
     lines = []
     with pytest.raises(
-        TeleopError, match=r"is not engaged within 2 s: .*, 2 times in a row"
+        TeleopError, match=r"is not engaged within 1 s: .*, 2 times in a row"
     ) as why:
-        run_experiment(config, experiment, 1, tmp_path, lambda _: "no", engage_timeout=2.0,
+        run_experiment(config, experiment, 1, tmp_path, lambda _: "no", engage_timeout=1.0,
                        say=lines.append)  # fmt: skip
     assert "earlier trials are kept" in str(why.value)
     assert "\n" not in str(why.value)

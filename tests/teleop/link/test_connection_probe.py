@@ -17,7 +17,7 @@ def insecure(config):
     return LinkConfig(master=config.master, slave=config.slave, insecure=True)
 
 
-def test_what_is_wrong_with_an_endpoint_is_named(config, tmp_path):
+def test_what_is_wrong_with_an_endpoint_is_named(config, tmp_path, monkeypatch):
     theirs = stored.load(make_keys(tmp_path, "test"), "test", CertificateRole.MASTER)
     with Link(config, "test", Role.SLAVE) as slave:
         ours = slave.credentials
@@ -28,6 +28,7 @@ def test_what_is_wrong_with_an_endpoint_is_named(config, tmp_path):
             config.slave, None, "test"
         )
     assert find_connection_fault(config.slave, ours, "test") == ""  # nobody there
+    monkeypatch.setattr(network, "PROBE_TIMEOUT_S", 0.2)
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()

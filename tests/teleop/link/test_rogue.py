@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from teleop.link import Link
+from teleop.link import Link, connection_guard
 from teleop.messages.messages import LAYOUT, Command, EmergencyStop, Setting, SlaveState
 from teleop.messages.topics import COMMAND, SETTING, STATE, STOP, Role
 from teleop.remote.request_listener import RESET, RequestListener
@@ -177,8 +177,9 @@ def test_a_viewer_is_heard_by_nobody(pair, config):
     ("role", "group", "kept"),
     [(CertificateRole.VIEWER, "viewer", 0), (CertificateRole.SUPERVISOR, "remote", 100)],
 )
-def test_nothing_is_kept_of_a_listener_but_subscribers(role, group, kept, config):
+def test_nothing_is_kept_of_a_listener_but_subscribers(role, group, kept, config, monkeypatch):
     """Zenoh removes tokens and queryables at once when a connection ends, and sends nothing."""
+    monkeypatch.setattr(connection_guard, "NAME_BLOCK_S", 0.3)
     with Link(config, "test", Role.SLAVE) as slave:
         states = slave._zenoh.declare_publisher("teleop/test/state")
         tls = create_local_credentials("test", role).build_tls_settings()
