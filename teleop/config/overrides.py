@@ -41,17 +41,6 @@ class Override:
         return cls(text, keys, strict_yaml.parse(value, f"--set {text}"))
 
 
-def apply_override(
-    tree: dict[str, Any], override: Override, error: Callable[[Keys, str], UsageError]
-) -> dict[str, Any]:
-    """Return a copy of a config's tree with an override applied.
-
-    `error` makes the error to raise of keys and what is wrong: an index beyond the end of a list.
-    """
-    replaced: dict[str, Any] = _replace_value(tree, override, override.keys, error)
-    return replaced
-
-
 def find_override(overrides: Sequence[Override], keys: Keys) -> Override | None:
     """Return the last override that sets the value at `keys` or one of its parents."""
     for override in reversed(overrides):
@@ -61,16 +50,17 @@ def find_override(overrides: Sequence[Override], keys: Keys) -> Override | None:
     return None
 
 
-def _replace_value(
-    node: Any, override: Override, rest: Keys, error: Callable[[Keys, str], UsageError]
+def apply_override(
+    node: Any, override: Override, error: Callable[[Keys, str], UsageError], depth: int = 0
 ) -> Any:
-    """Return a copy of `node` with the value at the keys `rest` replaced.
+    """Return a copy of a config's tree with an override applied, below `depth` of its keys.
 
-    Nodes on the way are copied: an alias in YAML makes one node of several places.
+    Nodes on the way are copied: an alias in YAML makes one node of several places. `error` makes
+    the error to raise of keys and what is wrong: an index beyond the end of a list.
     """
-    if not rest:
+    if depth == len(override.keys):
         return override.value
-    slot: Any = rest[0]
+    slot: Any = override.keys[depth]
     if isinstance(node, list):
         if not LIST_INDEX.fullmatch(slot) or int(slot) >= len(node):
             raise error(override.keys, f"the list has {len(node)} items, counted from 0")
@@ -80,5 +70,5 @@ def _replace_value(
     else:
         copy = dict(node) if isinstance(node, dict) else {}
         inner = copy.get(slot)
-    copy[slot] = _replace_value(inner, override, rest[1:], error)
+    copy[slot] = apply_override(inner, override, error, depth + 1)
     return copy

@@ -5,11 +5,10 @@ times the 200 MB of the numbers. A bar shows how far it is. It knows nothing of 
 not understand is left to the reader of rows, which names the line.
 """
 
-import contextlib
 import gzip
 import io
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +35,8 @@ def read(path: Path, layout: Layout, first: Sequence[str]) -> dict[str, NDArray[
     import pyarrow as pa
     from pyarrow import csv as arrow
 
-    with _open_with_position(path) as (file, place):
+    with path.open("rb") as raw_file:
+        file = unpack_text(path, raw_file)
         kinds = {
             name: pa.float64() if _is_number(cell, layout.decimal) else pa.string()
             for name, cell in zip(names, first, strict=True)
@@ -66,7 +66,7 @@ def read(path: Path, layout: Layout, first: Sequence[str]) -> dict[str, NDArray[
                         return None
                     part.append(_to_array(column))
                 if time.monotonic() - begin_s > PROGRESS_DELAY_S:
-                    progress(f"reading {path}", min(place() / size, 1.0))
+                    progress(f"reading {path}", min(raw_file.tell() / size, 1.0))
         except (pa.ArrowException, OSError, EOFError):
             return None  # the reader of rows says what is wrong, and where
         finally:
@@ -107,13 +107,6 @@ def _to_array(column: Any) -> NDArray[Any]:
     encoded = column.fill_null("").dictionary_encode()
     texts = np.array(encoded.dictionary.to_pylist(), dtype=object)
     return np.asarray(texts[encoded.indices.to_numpy()])
-
-
-@contextlib.contextmanager
-def _open_with_position(path: Path) -> Iterator[tuple[Any, Callable[[], int]]]:
-    """Open a file for reading; the second value tells how much of it has been read [bytes]."""
-    with path.open("rb") as raw_file:
-        yield unpack_text(path, raw_file), raw_file.tell
 
 
 def unpack_text(path: Path, file: io.BufferedIOBase) -> io.BufferedReader:

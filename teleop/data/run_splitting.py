@@ -67,15 +67,6 @@ def list_runs(
     return [(k * several, part) for k, part in enumerate(parts, 1) if chosen in (0, k)]
 
 
-def describe_second_record(path: Path, line: int, why: str) -> str:
-    """Return why a file has to be split at a line, and how."""
-    return (
-        f"line {line}: a second record begins here ({why}); split the file: `head -n {line - 1} "
-        f"{path.name} > first{path.suffix}`, and the rest likewise below its names (`teleop "
-        "diagnose` takes several files)"
-    )
-
-
 def is_overflow(back: float, period: float) -> bool:
     """Return whether a step back is the range of a counter."""
     return any(abs(back - each) <= 2.0 * period for each in _COUNTERS)

@@ -11,7 +11,7 @@ from estimator.units import LINEAR, Units
 from teleop.data import standard_columns
 from teleop.data.column_units import PERIOD_MIN, propose_length_unit, propose_time_unit
 from teleop.data.raw_table import RawTable
-from teleop.data.run_splitting import describe_second_record, is_overflow
+from teleop.data.run_splitting import is_overflow
 from teleop.data.text_cells import THOUSANDS
 from teleop.errors import UsageError
 
@@ -166,7 +166,11 @@ def check_time(
             )
         if restarts and row > 1 and raw.place(row).startswith("line "):
             line = int(raw.place(row).removeprefix("line "))
-            raise UsageError(f"{raw.path}: {describe_second_record(raw.path, line, back)}")
+            raise UsageError(
+                f"{raw.path}: line {line}: a second record begins here ({back}); split the file: "
+                f"`head -n {line - 1} {raw.path.name} > first{raw.path.suffix}`, and the rest "
+                "likewise below its names (`teleop diagnose` takes several files)"
+            )
         fault = f"{float(time[row])!r} does not come after {float(time[row - 1])!r}"
         hint = (
             " (a recording: was the slave restarted there?)" if raw.path.suffix == ".mcap" else ""

@@ -53,14 +53,6 @@ class LaunchPlan:
     environment: Mapping[str, str] = field(default_factory=dict)  # added to that of both sides
     master_files: tuple[int, ...] = ()  # file descriptors that the master has too
 
-    @property
-    def impaired_document(self) -> ConfigDocument:
-        """The document of the master, which connects to the proxy if there is one."""
-        if self.config.impair is None:
-            return self.document
-        endpoint = self.config.impair.build_link_config(self.config.link).slave
-        return self.document.override(Override.from_value("link.slave", endpoint))
-
 
 def plan_session(
     document: ConfigDocument, name: str | None
@@ -132,7 +124,10 @@ def run_session(
         # both sides import and compile at once; they touch nothing before they are called
         models = [f"--model={word}" for word in plan.models]
         supervisor.start("slave", [*shared, *sides, *models], plan.environment, standby=True)
-        snapshot = plan.impaired_document.save_snapshot(scratch / "master")
+        if config.impair is not None:  # the master connects to the proxy
+            endpoint = config.impair.build_link_config(config.link).slave
+            document = document.override(Override.from_value("link.slave", endpoint))
+        snapshot = document.save_snapshot(scratch / "master")
         supervisor.start(
             "master",
             ["--config", str(snapshot), *sides],

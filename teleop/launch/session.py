@@ -112,7 +112,9 @@ class Session(SessionClient):
             *build_rig_overrides(_to_path(replay), _to_path(calibration))
         )
         if operator:
-            document = _let_program_operate(document)
+            axes = document.load(SessionConfig).master.device.axis_count
+            device = {"type": "program", "axes": axes}
+            document = document.override(Override.from_value("master.device", device))
         document, self.config = plan_session(document, name)
         super().__init__(self.config)
         self.summary: SessionSummary | None = None
@@ -300,10 +302,3 @@ def load_config(
         It is invalid; one line with file, key and remedy.
     """
     return _read_document(path, overrides or {}).load(SessionConfig)
-
-
-def _let_program_operate(document: ConfigDocument) -> ConfigDocument:
-    axes = document.load(SessionConfig).master.device.axis_count
-    return document.override(
-        Override.from_value("master.device", {"type": "program", "axes": axes})
-    )

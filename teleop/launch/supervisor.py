@@ -202,10 +202,11 @@ class Supervisor:
             if child.is_fatal:
                 return child
             self._reported.add(child.name)
-            reason = child.complaint or f"ended {child.describe_end()}"
-            self._say(
-                child.name, f"{reason}; the session goes on{self._format_restart_hint(child)}"
-            )
+            line = f"{child.complaint or f'ended {child.describe_end()}'}; the session goes on"
+            if child.name in RESTARTED_CHILDREN:
+                command = shlex.join(["teleop", child.name, *child.arguments])
+                line += f"; start it again with: {command}"
+            self._say(child.name, line)
         return None
 
     def _restart(self, child: Child) -> None:
@@ -213,24 +214,14 @@ class Supervisor:
         if time.monotonic() < child.heard_s + child.pause_s:
             return
         child.join_readers()
-        new = self._activate_spare(child.name) or self._respawn(child)
+        spare = self._spares.pop(child.name, None)
+        new = spare if spare is not None and _call(spare) else self._respawn(child)
         new.was_healthy = new.was_restarted = True
         new.restart_reason = child.complaint or f"ended {child.describe_end()}"
         if child.was_restarted and time.monotonic() - child.began_s < _SHORT_LIFE_S:
             new.pause_s = min(max(1.0, 2 * child.pause_s), _RESTART_PAUSE_MAX_S)
         self.children[child.name] = new
         self._start_reader(new)
-
-    def _activate_spare(self, name: str) -> Child | None:
-        """Return the spare of a child, told to begin; None if there is none."""
-        spare = self._spares.pop(name, None)
-        return spare if spare is not None and _call(spare) else None
-
-    def _format_restart_hint(self, child: Child) -> str:
-        if child.name not in RESTARTED_CHILDREN:
-            return ""
-        command = shlex.join(["teleop", child.name, *child.arguments])
-        return f"; start it again with: {command}"
 
     def stop(self, order: Sequence[str]) -> None:
         """Stop the children in `order`, with time to finish.

@@ -180,7 +180,8 @@ class Admission:
         """Let a token wait, with who shows it; return whether no other one had to make place."""
         if hash(token) in self._worthless:
             return True
-        queue = self._queues.setdefault(self._queue_of(token, asker), {})
+        certificate = token.certificate if token.certificate in self._known else ""
+        queue = self._queues.setdefault((certificate, asker is not None), {})
         is_full = len(queue) >= QUEUED_TOKENS_MAX and token not in queue
         if is_full:
             del queue[self._chance.choice(tuple(queue))]
@@ -223,7 +224,3 @@ class Admission:
         self._worthless[hash(token)] = None
         while len(self._worthless) > REJECTED_TOKENS_MAX:
             self._worthless.popitem(last=False)
-
-    def _queue_of(self, token: Token, asker: Any) -> Queue:
-        certificate = token.certificate
-        return certificate if certificate in self._known else "", asker is not None

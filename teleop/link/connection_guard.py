@@ -342,7 +342,8 @@ class ConnectionGuard:
             _, user, inode = rows.get((ends[0].encode(), ends[1].encode()), (b"", -1, b""))
             if user in ours and inode != b"0":
                 continue
-            source = _find_source_network(connection.remote[0])
+            address = ip_network(connection.remote[0])  # all of this machine count as one
+            source = next((n for n in _LOOPBACK if address[0] in n), address)
             by_source.setdefault(source, []).append(connection)
             if user != -1 or source in _LOOPBACK:
                 local_sources.add(source)
@@ -388,15 +389,6 @@ def _is_closed(session: zenoh.Session) -> bool:
         return session.is_closed()
     except RuntimeError:  # it is being closed: the object is borrowed until it is
         return True
-
-
-def _find_source_network(host: str) -> Network:
-    """Return what a connection counts for: its address, or all of this machine."""
-    address = ip_address(host)
-    for loopback in _LOOPBACK:
-        if address in loopback:
-            return loopback
-    return ip_network(host)
 
 
 def _to_network(source: Network) -> Network | None:

@@ -321,13 +321,12 @@ class Link:
 
     def _probe(self) -> ConnectionProbe:
         """Return what watches for ends that answer and do not become connections."""
-
-        def list_connected() -> list[str]:
-            return [link.dst for link in self._zenoh.info.links()]
-
-        ends = self._find_endpoints()[1]
         return ConnectionProbe(
-            ends, self.credentials, self.session, list_connected, self.refusals.note
+            self._find_endpoints()[1],
+            self.credentials,
+            self.session,
+            lambda: [link.dst for link in self._zenoh.info.links()],
+            self.refusals.note,
         )
 
     def _on_connection(self, event: zenoh.LinkEvent) -> None:

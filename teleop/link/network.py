@@ -41,12 +41,6 @@ from teleop.security.credentials import create_local_credentials
 _LINGER_OFF = struct.pack("ii", 0, 0)
 
 
-def disable_linger(session: zenoh.Session) -> None:
-    """Turn SO_LINGER off for the connections that a session has and will have."""
-    direct = zenoh.handlers.Callback(_handle_link_event, indirect=False)
-    session.info.declare_link_events_listener(direct, history=True)
-
-
 def _handle_link_event(event: zenoh.LinkEvent) -> None:
     ours = parse_endpoint(event.link.src)  # the other end may be named by its host
     if event.kind != zenoh.SampleKind.PUT or ours is None or not OPEN_FILES_FOLDER.exists():
@@ -115,7 +109,8 @@ def open_session(
             ) from error
         problem = f"cannot listen on {', '.join(listen)}" if listen else "cannot open the link"
         raise UsageError(f"{problem}: {_explain_zenoh_error(str(error))}") from error
-    disable_linger(session)
+    direct = zenoh.handlers.Callback(_handle_link_event, indirect=False)  # SO_LINGER off
+    session.info.declare_link_events_listener(direct, history=True)
     ConnectionGuard(session, listen, CONNECTIONS if mode == "router" else BURST, note)
     return session
 

@@ -7,11 +7,12 @@ are the messages of the link, byte for byte, with the certified intervals.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from teleop.messages.messages import MAX_JOINTS, Command, Hand, Message, SlaveState, TendonState
+from teleop.messages.messages import MAX_JOINTS, Command, Hand, SlaveState, TendonState
 from teleop.messages.topics import COMMAND, HAND, REPORT, SHEATH, STATE, TENDONS, Topic
 from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos
 from teleop.ros.message_types import (
@@ -135,19 +136,10 @@ def to_slave_setpoint(command: Command, naming: NamingContext) -> Iterator[Sampl
     yield Sample("slave/setpoint_js", message)
 
 
-def to_slave_pose(state: SlaveState, naming: NamingContext) -> Iterator[Sample]:
-    """Estimated pose of each arm's tip in the frame of its base."""
-    yield from _build_tip_poses("measured_cp", state, naming)
-
-
-def to_slave_pose_setpoint(command: Command, naming: NamingContext) -> Iterator[Sample]:
-    """Commanded pose of each arm's tip in the frame of its base."""
-    yield from _build_tip_poses("setpoint_cp", command, naming)
-
-
-def _build_tip_poses(
+def to_tip_poses(
     name: str, message: SlaveState | Command, naming: NamingContext
 ) -> Iterator[Sample]:
+    """Estimated or commanded pose of each arm's tip in the frame of its base."""
     for number, arm in enumerate(naming.arms, 1):
         pose = arm.build_tip_pose(message.position, message.stamp_ns, naming.prefix)
         if pose is not None:
@@ -221,26 +213,28 @@ def to_master_setpoint(hand: Hand, _: NamingContext) -> Iterator[Sample]:
     yield Sample("master/setpoint_js", build_joint_state(header, names, effort=hand.force[:n]))
 
 
-def to_slave_operating_state(state: SlaveState, _: NamingContext) -> Iterator[Sample]:
-    """CRTK's state of the slave."""
-    yield Sample("slave/operating_state", _build_operating_state(state, state.state))
-
-
-def to_master_operating_state(command: Command, _: NamingContext) -> Iterator[Sample]:
-    """CRTK's state of the master."""
-    yield Sample("master/operating_state", _build_operating_state(command, command.state))
-
-
-def _build_operating_state(message: Message, number: int) -> Any:
-    state = State(number)
-    busy = state in (State.ENGAGED, State.CLUTCHED, State.HOLDING)
-    return build_message(
+def to_operating_state(
+    name: str, message: SlaveState | Command, _: NamingContext
+) -> Iterator[Sample]:
+    """CRTK's state of a side."""
+    state = State(message.state)
+    operating = build_message(
         OPERATING_STATE,
         header=build_header(message.stamp_ns),
         state=_OPERATING_NAMES[state],
         is_homed=state is not State.OFF,
-        is_busy=busy,
+        is_busy=state in (State.ENGAGED, State.CLUTCHED, State.HOLDING),
     )
+    yield Sample(name, operating)
+
+
+def _build_pose_topic(name: str, source: Topic[Any]) -> OutputTopic:
+    convert = partial(to_tip_poses, name)
+    return OutputTopic(f"slave/{name}", POSE_STAMPED, source, LIVE, convert, is_of_arms=True)
+
+
+def _build_state_topic(name: str, source: Topic[Any]) -> OutputTopic:
+    return OutputTopic(name, OPERATING_STATE, source, EVENTS, partial(to_operating_state, name))
 
 
 OUTPUTS: tuple[OutputTopic, ...] = (
@@ -249,18 +243,14 @@ OUTPUTS: tuple[OutputTopic, ...] = (
     OutputTopic("slave/actuators/measured_js", JOINT_STATE, TENDONS, LIVE, to_actuators_measured),
     OutputTopic("slave/actuators/setpoint_js", JOINT_STATE, TENDONS, LIVE, to_actuators_setpoint),
     OutputTopic("slave/measured_cf", WRENCH_STAMPED, STATE, LIVE, to_slave_force),
-    OutputTopic("slave/measured_cp", POSE_STAMPED, STATE, LIVE, to_slave_pose, is_of_arms=True),
-    OutputTopic(
-        "slave/setpoint_cp", POSE_STAMPED, COMMAND, LIVE, to_slave_pose_setpoint, is_of_arms=True
-    ),
-    OutputTopic("slave/operating_state", OPERATING_STATE, STATE, EVENTS, to_slave_operating_state),
+    _build_pose_topic("measured_cp", STATE),
+    _build_pose_topic("setpoint_cp", COMMAND),
+    _build_state_topic("slave/operating_state", STATE),
     OutputTopic("slave/state", to_type_name(SlaveState), STATE),
     OutputTopic("slave/tendons", to_type_name(TendonState), TENDONS),
     OutputTopic("master/measured_js", JOINT_STATE, HAND, LIVE, to_master_measured),
     OutputTopic("master/setpoint_js", JOINT_STATE, HAND, LIVE, to_master_setpoint),
-    OutputTopic(
-        "master/operating_state", OPERATING_STATE, COMMAND, EVENTS, to_master_operating_state
-    ),
+    _build_state_topic("master/operating_state", COMMAND),
     OutputTopic("/diagnostics", DIAGNOSTIC_ARRAY, REPORT, EVENTS),
     OutputTopic("/tf", TF_MESSAGE, SHEATH, EVENTS),
 )

@@ -98,7 +98,10 @@ class Publishers:
         if slow:
             for item in self._listener.drain():
                 self._notes.add(item.topic.message.unpack(item.data), item.received_ns)
-            self._say_refused()
+            refused = self._commands.describe_refused()
+            if refused and refused != self._refused:
+                self._say(refused)
+            self._refused = refused
             if self._notes.sheaths and _FRAMES.name in self._topics:
                 frames = build_sheath_frames(self._notes.sheaths, stamp_ns, self._config.prefix)
                 self._put(_FRAMES.name, _FRAMES, frames)
@@ -127,12 +130,6 @@ class Publishers:
             topic = build_topic_name(name, self._config.prefix)
             publisher = self._topics[name] = self._node.advertise(topic, output.type, output.qos)
         return publisher
-
-    def _say_refused(self) -> None:
-        refused = self._commands.describe_refused()
-        if refused and refused != self._refused:
-            self._say(refused)
-        self._refused = refused
 
 
 def _group_by_source(outputs: Iterable[OutputTopic]) -> dict[Topic[Any], list[OutputTopic]]:

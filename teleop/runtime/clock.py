@@ -130,7 +130,8 @@ class Grid:
     def __iter__(self) -> Iterator[Tick]:
         """Yield ticks until `stop` returns true."""
         stats, period = self.stats, self.period_ns
-        target = self._find_first(self._now())
+        now = self._now()
+        target = now + (self._offset_ns - now) % period  # the next point of the grid
         index, skipped = 0, 0
         while not self._stop():
             wait = target - self._now()
@@ -146,10 +147,6 @@ class Grid:
             stats.overruns += skipped
             target += (1 + skipped) * period
             index += 1 + skipped
-
-    def _find_first(self, now: int) -> int:
-        """Return the next point of the grid [ns]."""
-        return now + (self._offset_ns - now) % self.period_ns
 
 
 class EventClock:

@@ -31,7 +31,10 @@ def announce_compilation(
             self.printed = True
             print(f"compiling {what} (once on this machine; about {about_s:.0f} s) ...", flush=True)
             if work is not None:
-                self.helper = _start_helper(work)
+                # not a fork of this process, which may be in the middle of compiling
+                start = multiprocessing.get_context("spawn").Process
+                self.helper = start(target=_run_helper, args=(work,), daemon=True)
+                self.helper.start()
 
         def on_end(self, _event: object) -> None:
             """Do nothing; required by the listener interface."""
@@ -43,14 +46,6 @@ def announce_compilation(
             announcement.helper.join()
         if work is not None:
             work()
-
-
-def _start_helper(work: Callable[[], object]) -> BaseProcess:
-    # not a fork of this process, which may be in the middle of compiling
-    start = multiprocessing.get_context("spawn").Process
-    helper = start(target=_run_helper, args=(work,), daemon=True)
-    helper.start()
-    return helper
 
 
 def _run_helper(work: Callable[[], object]) -> None:

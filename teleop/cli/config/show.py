@@ -142,19 +142,15 @@ def format_values(values: Sequence[ConfigValue]) -> str:
         shared = 0
         while shared < len(before) and before[shared] == each.keys[shared]:
             shared += 1
-        rows += _format_parents(each.keys, shared)
+        for depth in range(shared, len(each.keys) - 1):  # the sections above it that are new
+            if not each.keys[depth].isdecimal():
+                lead = _format_lead(each.keys[: depth + 1], shared)
+                rows.append((f"{lead}{each.keys[depth]}:", ""))
         lead = _format_lead(each.keys, shared)
         rows.append((f"{lead}{each.keys[-1]}: {format_value(each.value)}", _format_comment(each)))
         before = each.keys[:-1]
     width = min(max(len(text) for text, _ in rows), COMMENT_COLUMN_MAX)
     return "\n".join(f"{text:{width}}  # {note}" if note else text for text, note in rows)
-
-
-def _format_parents(keys: Keys, shared: int) -> Iterator[tuple[str, str]]:
-    """Yield the lines of the sections above a value, from the first that is new."""
-    for depth in range(shared, len(keys) - 1):
-        if not keys[depth].isdecimal():
-            yield f"{_format_lead(keys[: depth + 1], shared)}{keys[depth]}:", ""
 
 
 def _format_lead(keys: Keys, shared: int) -> str:

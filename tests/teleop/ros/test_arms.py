@@ -15,7 +15,7 @@ from teleop.ros.output_topics import (
     build_arm_frames,
     to_slave_force,
     to_slave_measured,
-    to_slave_pose,
+    to_tip_poses,
 )
 from teleop.session.config import RunConfig
 from tests.root import ROOT
@@ -50,7 +50,7 @@ def naming():
 
 
 def tip_of(naming, angles):
-    (sample,) = to_slave_pose(state_of(angles), naming)
+    (sample,) = to_tip_poses("measured_cp", state_of(angles), naming)
     assert sample.name == "slave/measured_cp"
     assert sample.message.header.frame_id == "lab/base"
     return place_of(sample.message.pose)
@@ -98,7 +98,7 @@ def test_the_force_in_the_frame_of_the_tip_does_the_work_of_the_joints(naming):
 
 def test_nothing_is_told_of_an_arm_whose_angles_are_unknown(naming):
     unknown = dataclasses.replace(state_of((0.0,) * 4), position=(np.nan,) * 8)
-    assert not list(to_slave_pose(unknown, naming))
+    assert not list(to_tip_poses("measured_cp", unknown, naming))
     assert build_arm_frames(unknown, naming) is None
 
 
@@ -108,7 +108,7 @@ def test_two_arms_have_names_of_their_own():
     (sample,) = to_slave_measured(state, naming)
     assert len(set(sample.message.name)) == 8
     assert sample.message.name[4] == "arm_2/shoulder"
-    assert [pose.name for pose in to_slave_pose(state, naming)] == [
+    assert [pose.name for pose in to_tip_poses("measured_cp", state, naming)] == [
         "slave/measured_cp", "slave/arm_2/measured_cp",
     ]  # fmt: skip
     children = [frame.child_frame_id for frame in build_arm_frames(state, naming).transforms]
