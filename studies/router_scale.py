@@ -1,6 +1,6 @@
 """What a router carries: sessions at 1 kHz, beside the same sessions connected directly.
 
-  python -m studies.router_scale [--sessions 1 2 4 8 16] [--seconds 3] [--out FILE] [--insecure]
+  python -m studies.router_scale [--sessions 1 2 4 8 16] [--seconds 3] [--insecure]
 
 Each session is a command and an answer a millisecond, of the sizes of Command and SlaveState, with
 the publishers, queues, priorities, TLS and access control of a link, but no tags and no loops. One
@@ -20,12 +20,11 @@ Takes a minute and a half.
 import gc
 import json
 import os
-import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import numpy as np
@@ -44,16 +43,12 @@ from teleop.security.credentials import create_local_credentials
 from teleop.security.identity import ALL_SESSIONS
 
 SIZES = {"command": Command.schema.size, "state": SlaveState.schema.size}
+NAME = "scale-{}"  # of a session, by its number
 PHASES = 4  # sendings in a millisecond, each of a part of the sessions
 PERIOD_NS = 1_000_000
 CONNECT_S = 30.0
-FAN_OUT = (0, 2, 4, 8)  # listeners of one session
+FAN_OUT = (2, 4, 8)  # listeners of one session
 _STAMP = 8  # bytes, of the clock at the master
-
-
-def build_name(number: int) -> str:
-    """Return the name of a session."""
-    return f"scale-{number}"
 
 
 def prepare_security(role: CertificateRole, insecure: bool, sessions: list[str]) -> tuple[Any, Any]:
@@ -65,63 +60,66 @@ def prepare_security(role: CertificateRole, insecure: bool, sessions: list[str])
 
 
 class Side:
-    """All masters, all slaves or all listeners: a Zenoh session for each."""
+    """All masters, all slaves or all listeners of session 0: a Zenoh session for each."""
 
-    def __init__(self, plan: dict[str, Any], role: CertificateRole, listens: bool) -> None:
-        self.plan = plan
+    def __init__(self, plan: dict[str, Any], role: CertificateRole, listens: bool = False) -> None:
+        self.names = [NAME.format(number) for number in range(plan["sessions"])]
+        if role is CertificateRole.VIEWER:
+            self.names = self.names[:1] * plan["listeners"]
         mode: Any = "client" if plan["router"] else "peer"
         self.sessions = []
-        for number in range(plan["sessions"]):
-            if plan["router"]:
-                ends: tuple[list[str], list[str]] = ([], [plan["router"]])
-            else:
-                slave = plan["slaves"][number]
-                ends = ([slave], []) if listens else ([], [slave])
-            keys, access = prepare_security(role, plan["insecure"], [build_name(number)])
+        for number, name in enumerate(self.names):
+            address = [plan["router"] or plan["slaves"][number]]
+            ends = (address, []) if listens and not plan["router"] else ([], address)
+            keys, access = prepare_security(role, plan["insecure"], [name])
             self.sessions.append(open_session(keys, *ends, access, mode))
 
     def subscribe(self, topic: str, number: int, store: Callable[[Any], None]) -> None:
         """Receive a topic of one session."""
         direct = zenoh.handlers.Callback(store, indirect=False)
-        self.sessions[number].declare_subscriber(f"teleop/{build_name(number)}/{topic}", direct)
+        self.sessions[number].declare_subscriber(f"teleop/{self.names[number]}/{topic}", direct)
 
-    def publisher(self, topic: str, number: int) -> Any:
-        """Return the publisher of a topic of one session."""
-        key = f"teleop/{build_name(number)}/{topic}"
-        return declare_publisher(self.sessions[number], key, live=True, patient=False)
+    def declare_put(self, topic: str, number: int) -> Callable[[bytes], None]:
+        """Return what publishes a topic of one session."""
+        key = f"teleop/{self.names[number]}/{topic}"
+        put: Callable[[bytes], None] = declare_publisher(
+            self.sessions[number], key, live=True, patient=False
+        ).put
+        return put
+
+
+def announce_and_wait() -> None:
+    """Say that this process is ready, and wait for the end of its input."""
+    print("ready", flush=True)
+    sys.stdin.read()
 
 
 def run_slaves(plan: dict[str, Any]) -> None:
     """Answer each command at once."""
     side = Side(plan, CertificateRole.SLAVE, listens=True)
     for number in range(plan["sessions"]):
-        put = side.publisher("state", number).put
+        put_state = side.declare_put("state", number)
 
-        def answer(sample: Any, put: Callable[[bytes], None] = put) -> None:
+        def answer(sample: Any, put: Callable[[bytes], None] = put_state) -> None:
             put(sample.payload.to_bytes()[:_STAMP].ljust(SIZES["state"], b"\0"))
 
         side.subscribe("command", number, answer)
-    print("ready", flush=True)
-    sys.stdin.read()
+    announce_and_wait()
 
 
 def run_listeners(plan: dict[str, Any]) -> None:
     """Receive commands and states of session 0, several times."""
-    keys, access = prepare_security(CertificateRole.VIEWER, plan["insecure"], [build_name(0)])
-    router = [plan["router"]]
-    sessions = [open_session(keys, [], router, access, "client") for _ in range(plan["listeners"])]
-    for session in sessions:
+    side = Side(plan, CertificateRole.VIEWER)
+    for number in range(plan["listeners"]):
         for topic in SIZES:
-            direct = zenoh.handlers.Callback(lambda _: None, indirect=False)
-            session.declare_subscriber(f"teleop/{build_name(0)}/{topic}", direct)
-    print("ready", flush=True)
-    sys.stdin.read()
+            side.subscribe(topic, number, lambda _: None)
+    announce_and_wait()
 
 
 def run_masters(plan: dict[str, Any]) -> None:
     """Send commands on an absolute grid, and print the round trips."""
     count = plan["sessions"]
-    side = Side(plan, CertificateRole.MASTER, listens=False)
+    side = Side(plan, CertificateRole.MASTER)
     trips: list[list[int]] = [[] for _ in range(count)]
     for number in range(count):
 
@@ -130,13 +128,13 @@ def run_masters(plan: dict[str, Any]) -> None:
             trip.append(now - int.from_bytes(sample.payload.to_bytes()[:_STAMP], "little"))
 
         side.subscribe("state", number, store)
-    puts = [side.publisher("command", number).put for number in range(count)]
+    puts = [side.declare_put("command", number) for number in range(count)]
     end = time.monotonic() + CONNECT_S
     while not all(trips):
         if time.monotonic() > end:
             raise SystemExit("not all sessions were connected in time")
         for put in puts:
-            put(_command())
+            put(build_command())
         time.sleep(0.05)
     gc.disable()
     send_commands(puts, 1.0)  # warm up
@@ -148,34 +146,33 @@ def run_masters(plan: dict[str, Any]) -> None:
     time.sleep(0.1)
     rates = [len(trip) / seconds for trip in trips]
     p50, p99 = np.percentile(np.concatenate(trips) * 1e-6, [50.0, 99.0]).tolist()
-    print(json.dumps({"delivered_hz": min(rates), "p50_ms": p50, "p99_ms": p99}), flush=True)
+    print(json.dumps((min(rates), p50, p99)), flush=True)
 
 
 def send_commands(puts: list[Callable[[bytes], None]], seconds: float) -> float:
     """Send on all sessions, each once a millisecond; return the time that it took [s]."""
     phases = [puts[phase::PHASES] for phase in range(PHASES)]
-    begin = due = time.monotonic_ns()
+    begin = time.monotonic_ns()
     for step in range(round(seconds * 1e9 / PERIOD_NS) * PHASES):
-        due = begin + step * PERIOD_NS // PHASES
-        wait = due - time.monotonic_ns()
+        wait = begin + step * PERIOD_NS // PHASES - time.monotonic_ns()
         if wait > 0:
             time.sleep(wait * 1e-9)
         for put in phases[step % PHASES]:
-            put(_command())
+            put(build_command())
     return (time.monotonic_ns() - begin) * 1e-9
 
 
-def _command() -> bytes:
+def build_command() -> bytes:
+    """Return the bytes of a command that is sent now."""
     return time.monotonic_ns().to_bytes(_STAMP, "little").ljust(SIZES["command"], b"\0")
 
 
 def run_router(plan: dict[str, Any]) -> None:
     """Run a router as `teleop router` does."""
-    names = [build_name(number) for number in range(plan["most"])]
+    names = [NAME.format(number) for number in range(plan["most"])]
     keys, access = prepare_security(CertificateRole.ROUTER, plan["insecure"], names)
     with open_session(keys, [plan["router"]], [], access, "router"):
-        print("ready", flush=True)
-        sys.stdin.read()
+        announce_and_wait()
 
 
 PART = "part"  # the word that makes this program one of its processes
@@ -185,117 +182,52 @@ PARTS = {
 }  # fmt: skip
 
 
-class Part:
-    """A process of the benchmark, ended with the context."""
-
-    def __init__(self, name: str, plan: dict[str, Any]) -> None:
-        pipe = subprocess.PIPE
-        self.process = start_module(
-            "studies.router_scale", PART, name, json.dumps(plan),
-            is_supervised=True, stdin=pipe, stdout=pipe, text=True,
-        )  # fmt: skip
-
-    def __enter__(self) -> "Part":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.process.kill()
-        self.process.communicate()
-
-    def line(self) -> str:
-        """Return the next line that it prints."""
-        assert self.process.stdout is not None  # noqa: S101 - given as PIPE above
-        line = self.process.stdout.readline().strip()
-        if not line:
-            raise SystemExit("a process of the benchmark ended")
-        return line
-
-    def cpu_s(self) -> float:
-        """Return the processor time so far [s]."""
-        return read_processor_s(self.process.pid)
-
-
-def measure_sessions(plan: dict[str, Any], router: Part | None) -> dict[str, Any]:
-    """Measure one number of sessions, through a router or directly."""
-    listeners = plan["listeners"]
-    with Part("slaves", plan) as slaves:
-        slaves.line()
-        others = [slaves]
-        with Part("listeners", plan) if listeners else slaves as ears:
-            if listeners:
-                ears.line()
-                others.append(ears)
-            with Part("masters", plan) as masters:
-                others.append(masters)
-                masters.line()  # begin
-                begin = time.monotonic()
-                before = [part.cpu_s() for part in others]
-                router_before = router.cpu_s() if router else 0.0
-                masters.line()  # end
-                seconds = time.monotonic() - begin
-                load = sum(p.cpu_s() - b for p, b in zip(others, before, strict=True))
-                router_s = router.cpu_s() - router_before if router else 0.0
-                result = json.loads(masters.line())
-    sent = result["delivered_hz"] * 2 * (plan["sessions"] + listeners)  # messages a second
-    return {
-        "sessions": plan["sessions"],
-        "listeners": listeners,
-        "way": "router" if router else "direct",
-        **result,
-        "router_cores": router_s / seconds,
-        "router_us_per_message": router_s / seconds / sent * 1e6,
-        "load_cores": load / seconds,
-    }
-
-
-def print_row(row: dict[str, Any]) -> None:
-    router = "" if row["way"] == "direct" else (
-        f"{row['router_cores']:6.2f} {row['router_us_per_message']:7.1f}"
+@contextmanager
+def run_part(name: str, plan: dict[str, Any]) -> Iterator[subprocess.Popen[str]]:
+    """Run a process of the benchmark, until the end of the context, from its first line on."""
+    process = start_module(
+        "studies.router_scale", PART, name, json.dumps(plan),
+        is_supervised=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
-    print(
-        f"{row['sessions']:8} {row['listeners']:9} {row['way']:7} {row['delivered_hz']:9.1f} "
-        f"{row['p50_ms']:7.3f} {row['p99_ms']:7.3f} {row['load_cores']:6.2f} {router}",
-        flush=True,
+    try:
+        read_line(process)
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def read_line(process: subprocess.Popen[str]) -> str:
+    """Return the next line that a process prints."""
+    assert process.stdout is not None  # noqa: S101 - a pipe
+    if line := process.stdout.readline().strip():
+        return line
+    raise SystemExit("a process of the benchmark ended")
+
+
+def print_row(plan: dict[str, Any], router: subprocess.Popen[str] | None) -> None:
+    """Measure one number of sessions, through a router or directly, and print it."""
+    sessions, listeners = plan["sessions"], plan["listeners"]
+    with ExitStack() as stack:
+        names = ("slaves", *(("listeners",) if listeners else ()), "masters")
+        load = [stack.enter_context(run_part(name, plan)) for name in names]
+        watched = [*load, *([router] if router else [])]
+        begin, before = time.monotonic(), [read_processor_s(part.pid) for part in watched]
+        read_line(load[-1])  # the end
+        seconds = time.monotonic() - begin
+        cores = [
+            (read_processor_s(part.pid) - earlier) / seconds
+            for part, earlier in zip(watched, before, strict=True)
+        ]
+        delivered_hz, p50_ms, p99_ms = json.loads(read_line(load[-1]))
+    line = (
+        f"{sessions:8} {listeners:9} {'router' if router else 'direct':7} {delivered_hz:9.1f} "
+        f"{p50_ms:7.3f} {p99_ms:7.3f} {sum(cores[: len(load)]):6.2f}"
     )
-
-
-def measure_all(sessions: list[int], seconds: float, insecure: bool) -> list[dict[str, Any]]:
-    """Measure all numbers of sessions both ways, then the fan-out of one session."""
-    (port,) = find_free_ports(1)
-    routed = {
-        "router": f"127.0.0.1:{port}",
-        "most": max(sessions),
-        "insecure": insecure,
-        "seconds": seconds,
-    }
-    rows = []
-    print("sessions listeners way     delivered     p50     p99   load router  us/msg")
-    with Part("router", routed) as router:
-        router.line()
-        for count in sessions:
-            plan = routed | {"sessions": count, "listeners": 0}
-            slaves = [f"127.0.0.1:{port}" for port in find_free_ports(count)]
-            for config, via in ((plan | {"router": "", "slaves": slaves}, None), (plan, router)):
-                rows.append(measure_sessions(config, via))
-                print_row(rows[-1])
-        for listeners in FAN_OUT[1:]:
-            rows.append(measure_sessions(routed | {"sessions": 1, "listeners": listeners}, router))
-            print_row(rows[-1])
-    return rows
-
-
-def describe_machine() -> dict[str, Any]:
-    """Return what the figures hold for."""
-    lines = Path("/proc/cpuinfo").read_text().splitlines()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return {
-        "processor": names[0] if names else platform.processor(),
-        "cores": os.cpu_count(),
-        "kernel": platform.release(),
-        "python": platform.python_version(),
-        "load_average": os.getloadavg()[0],
-        "scheduling": request_realtime(),
-    }
+    if router:
+        messages_hz = delivered_hz * 2 * (sessions + listeners)
+        line += f" {cores[-1]:6.2f} {cores[-1] / messages_hz * 1e6:7.1f}"
+    print(line, flush=True)
 
 
 def main() -> None:
@@ -309,14 +241,22 @@ def main() -> None:
         __doc__,
         sessions=((1, 2, 4, 8, 16), "numbers of sessions"),
         seconds=(3.0, "of each row"),
-        out=(Path, "write the rows as JSON to this file"),
         insecure=(False, "plaintext, without TLS"),
     )
-    facts = {"machine": describe_machine(), "bytes": SIZES, "tls": not args.insecure}
-    print(json.dumps(facts))
-    rows = measure_all(args.sessions, args.seconds, args.insecure)
-    if args.out:
-        args.out.write_text(json.dumps(facts | {"rows": rows}, indent=2) + "\n")
+    address, *slaves = (f"127.0.0.1:{port}" for port in find_free_ports(1 + max(args.sessions)))
+    direct = {
+        "router": "", "slaves": slaves, "most": max(args.sessions), "listeners": 0,
+        "insecure": args.insecure, "seconds": args.seconds,
+    }  # fmt: skip
+    routed = direct | {"router": address}
+    print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, {request_realtime()}")
+    print("sessions listeners way     delivered     p50     p99   load router  us/msg")
+    with run_part("router", routed) as router:
+        for count in args.sessions:
+            print_row(direct | {"sessions": count}, None)
+            print_row(routed | {"sessions": count}, router)
+        for listeners in FAN_OUT:
+            print_row(routed | {"sessions": 1, "listeners": listeners}, router)
 
 
 if __name__ == "__main__":
