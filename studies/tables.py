@@ -4,7 +4,7 @@
 
 A table, of one run or several, is read as it was written, or refused with a reason; anything else
 is wrong. Where the name of the time says seconds of milliseconds or microseconds, it must be
-refused.
+refused. Takes a minute for 2000.
 """
 
 import contextlib

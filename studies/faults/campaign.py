@@ -1,7 +1,7 @@
 """Do harm to a running session again and again, and measure from recordings how it took it.
 
     python -m studies.faults.campaign               208 faults, 8 of a sort: half an hour
-    python -m studies.faults.campaign --rounds 2 --out /tmp/faults --json faults.json
+    python -m studies.faults.campaign --rounds 2 --out /tmp/faults
     python -m studies.faults.campaign --judge /tmp/faults     look again at what was recorded
 
 Ends with exit code 1 unless the 99th percentile of the slave's reaction is within `SLAVE_S` and a
@@ -9,7 +9,6 @@ tick, every reaction of the master within `MASTER_S`, and nothing moved or engag
 faults need root (a memory cgroup) or a C compiler (a wall clock that can be set).
 """
 
-import argparse
 import json
 import sys
 import tempfile
@@ -21,6 +20,7 @@ import numpy as np
 from studies.faults.injection import PLAN, Fault, inject_fault, may_end_engagement
 from studies.faults.judge import CampaignResult, judge_recordings
 from studies.faults.session import FaultSession
+from studies.testbed.command import parse_options
 from studies.testbed.processes import DEMO_CONFIG, pause
 
 FAULTS = "faults.json"
@@ -125,33 +125,26 @@ def judge_session(folder: Path) -> dict:
     }
 
 
-def main():
-    kinds = sorted({kind for kind, _ in PLAN})
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+def main() -> int:
+    """Return the exit code."""
+    args = parse_options(
+        __doc__,
+        kinds=(tuple(sorted({kind for kind, _ in PLAN})), "of fault"),
+        rounds=(8, "of one fault of each kind"),
+        seed=(1, "of their order and times"),
+        set=("rate_hz=1000", "KEY=VALUE of the config; less on a busy machine"),
+        out=(Path, "folder for recordings and logs"),
+        judge=(Path, "folder of an earlier campaign"),
     )
-    parser.add_argument("--kinds", nargs="+", default=kinds, choices=kinds, metavar="KIND",
-                        help=f"of {', '.join(kinds)} (default all)")  # fmt: skip
-    parser.add_argument("--rounds", type=int, default=8, help="of one fault of each kind")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE",
-                        help="of the config, e.g. rate_hz=500 on a busy machine")  # fmt: skip
-    parser.add_argument("--out", type=Path, help="folder for recordings and logs")
-    parser.add_argument("--judge", type=Path, help="folder of an earlier campaign")
-    parser.add_argument("--json", type=Path, help="write the figures to this file")
-    args = parser.parse_args()
     chosen = [fault for fault in PLAN if fault[0] in args.kinds]
     rng = np.random.default_rng([args.seed, 0])
     with tempfile.TemporaryDirectory() as scratch:
         folder = args.judge or args.out or Path(scratch)
         if not args.judge:
             plan = [chosen[i] for _ in range(args.rounds) for i in rng.permutation(len(chosen))]
-            run_session(folder, plan, rng, args.overrides)
-        figures = {"seed": args.seed} | judge_session(folder)
-    text = json.dumps(figures, indent=2)
-    print(text)
-    if args.json:
-        args.json.write_text(text + "\n")
+            run_session(folder, plan, rng, [args.set])
+        figures = judge_session(folder)
+    print(json.dumps({"seed": args.seed} | figures, indent=2))
     return bool(figures["failures"])
 
 

@@ -1,14 +1,13 @@
 """The main job of each driver, from its calibration to every way in which it can fail.
 
-  python -m studies.rigs.jobs [DRIVER ...] [--motors 1 4] [--only JOB ...] [--attempts 2]
-  python -m studies.rigs.jobs cia402 --multicast      CAN in UDP, in a network namespace
+  python -m studies.rigs.jobs [--drivers DRIVER ...] [--motors 1 4] [--only JOB ...]
+  python -m studies.rigs.jobs --drivers cia402 --multicast      CAN in UDP, in a network namespace
 
 Commands of the project as processes; the simulated plant is behind the motors, so tensions are
 those of sheaths with friction. Prints a line for each job: pass or fail, and figures. The exit code
-is 1 if one fails.
+is 1 if one fails. Takes 20 minutes.
 """
 
-import argparse
 import os
 import signal
 import sys
@@ -22,6 +21,7 @@ from slave.tendon_config import TendonConfig
 from studies.rigs import session
 from studies.rigs.bench import TRUE_K, Model, write_config
 from studies.rigs.session import Session
+from studies.testbed.command import parse_options
 from studies.testbed.processes import START_S
 from teleop.launch.supervisor import wait_for_condition
 
@@ -48,19 +48,14 @@ SILENT = ("unplugged", "silent", "no answer")
 
 def main() -> int:
     """Return the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m studies.rigs.jobs",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    args = parse_options(
+        __doc__,
+        drivers=(DRIVERS, "to try"),
+        motors=((1, 4), "numbers of them"),
+        only=(tuple(JOBS), "jobs"),
+        attempts=(1, "of each job, on a busy machine"),
+        multicast=(False, "CAN over UDP multicast"),
     )
-    parser.add_argument("drivers", nargs="*", default=DRIVERS, metavar="DRIVER")
-    parser.add_argument("--motors", type=int, nargs="*", default=[1, 4])
-    parser.add_argument("--only", nargs="*", default=list(JOBS), choices=JOBS, metavar="JOB")
-    parser.add_argument("--attempts", type=int, default=1, help="of each job, on a busy machine")
-    parser.add_argument("--multicast", action="store_true", help="CAN over UDP multicast")
-    args = parser.parse_args()
-    if unknown := set(args.drivers) - set(DRIVERS):
-        parser.error(f"no driver {', '.join(sorted(unknown))}; there are {', '.join(DRIVERS)}")
     if args.multicast:
         session.enter_namespace()
     print(f"{'driver':16} {'motors':>6}  {'job':14} result")

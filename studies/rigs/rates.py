@@ -1,13 +1,12 @@
 """Achieved rates and processor time of each driver for 1, 2, 4 and 8 motors.
 
-  python -m studies.rigs.rates [DRIVER ...] [--motors 1 2 4 8] [--seconds 5]
+  python -m studies.rigs.rates [--drivers DRIVER ...] [--motors 1 2 4 8] [--seconds 5]
 
 The rig is opened without a session and read and written at 1 kHz. On a pty the line itself takes no
 time: the bound of the real line is computed from its bits and stands beside the measurement. The
-processor time is that of the driver's process alone.
+processor time is that of the driver's process alone. Takes 2 minutes.
 """
 
-import argparse
 import time
 
 import numpy as np
@@ -17,6 +16,7 @@ from slave.drivers.cia402.config import compute_bus_load
 from slave.rig import RigFault
 from slave.rigs.hardware import HardwareRig
 from studies.rigs.bench import Model, build_rig_tree
+from studies.testbed.command import parse_options
 from studies.testbed.processes import read_processor_s
 from teleop.config.loading import load
 from teleop.runtime.realtime import request_realtime
@@ -27,11 +27,12 @@ BAUD = 4e6  # of the servos
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("drivers", nargs="*", default=DRIVERS)
-    parser.add_argument("--motors", type=int, nargs="*", default=[1, 2, 4, 8])
-    parser.add_argument("--seconds", type=float, default=5.0)
-    args = parser.parse_args()
+    args = parse_options(
+        __doc__,
+        drivers=(DRIVERS, "to measure"),
+        motors=((1, 2, 4, 8), "numbers of them"),
+        seconds=(5.0, "of each row"),
+    )
     request_realtime()
     print("driver           motors  asked Hz  samples Hz  longest gap ms  CPU %  line allows Hz")
     for driver in args.drivers:

@@ -94,11 +94,6 @@ class Processes:
             process.wait()
         self._logs.close()
 
-    def take_name(self, session: str) -> None:
-        """Be a session of this name from now on, as the certificates of a test say."""
-        self.session = session
-        self.shared += ["--set", f"session={session}"]
-
     def start(
         self, command: str, *arguments: str, prefix: Sequence[str] = ()
     ) -> subprocess.Popen[bytes]:

@@ -9,7 +9,6 @@ from tests.root import ROOT
 
 STUDIES = ROOT / "studies"
 PARTS = {"faults.faulty_process", "rigs.model", "testbed.bare_zenoh"}  # processes of a study
-BY_OTHERS = {"tables", "rigs.jobs", "rigs.rates"}  # have no time in their help yet
 
 
 def find_studies():
@@ -28,7 +27,7 @@ def test_the_index_lists_every_study_once():
     assert len(listed) == len(set(listed))
 
 
-@pytest.mark.parametrize("name", sorted(find_studies().keys() - BY_OTHERS))
+@pytest.mark.parametrize("name", sorted(find_studies()))
 def test_a_study_says_how_it_is_run_and_how_long_it_takes(name):
     text = ast.get_docstring(ast.parse(find_studies()[name].read_text())) or ""
     assert f"python -m studies.{name}" in text
