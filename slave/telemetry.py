@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from datetime import datetime, timedelta
+from typing import TextIO
 
 import numpy as np
 
@@ -176,20 +177,23 @@ class Telemetry:
         self._link.publish_packet(PROFILE, self._profile)
 
 
-def build_progress_printer(rig: Rig) -> Callable[[ProcedureProgress], None]:
-    """Return a callback that prints the progress of a calibration at each long phase."""
+def build_progress_printer(
+    rig: Rig, stream: TextIO | None = None, period_s: float = PROGRESS_S
+) -> Callable[[ProcedureProgress], None]:
+    """Return a callback that prints the progress of a calibration to standard output."""
     due_s = 0.0
 
     def show(progress: ProcedureProgress) -> None:
         nonlocal due_s
         if progress.time_s < due_s:
             return
-        due_s = progress.time_s + PROGRESS_S
+        due_s = progress.time_s + period_s
         tendon = progress.format_tendon(rig)
         tension = " and ".join(f"{t:z.1f}" for t in progress.tension)
         print(
             f"calibrating {rig.name}: {progress.done:.0%}, {tendon}: {progress.phase.text}, "
             f"{tension} N",
+            file=stream,
             flush=True,
         )
 

@@ -40,6 +40,7 @@ from slave.rig import Rig
 from slave.rigs import open_rig
 from slave.rigs.replayed_data import ReplayedRigConfig
 from slave.rigs.simulated import SimulatedRigConfig, remove_obstacles
+from slave.telemetry import build_progress_printer
 from teleop.config.loading import ConfigDocument
 from teleop.config.options import add_option, add_options
 from teleop.errors import UsageError
@@ -60,7 +61,7 @@ from teleop.session.config import RunConfig
 COMPILE_S = 10.0  # [s] of a processor, without a cache
 BAR_WIDTH = 24  # characters
 BAR_PERIOD_S = 0.1  # [s] of the rig's time
-LINE_PERIOD_S = 10.0  # [s] likewise, if the output is not a terminal
+LINE_PERIOD_S = 5.0  # [s] likewise, if the output is not a terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -144,7 +145,7 @@ def main(args: argparse.Namespace) -> int:
                 stopped=lambda: f"{stop.reason}: stopped, no file written" if stop() else "",
                 progress=build_progress_bar(rig)
                 if sys.stderr.isatty()
-                else build_progress_printer(rig),
+                else build_progress_printer(rig, sys.stderr, LINE_PERIOD_S),
                 analysing=partial(_announce_analysis, stop),
                 arms=shared.arms,
             )
@@ -233,26 +234,6 @@ def build_progress_bar(rig: Rig) -> Callable[[ProcedureProgress], None]:
         print(f"\r{line:<100.100}", end="", file=sys.stderr, flush=True)
 
     return show
-
-
-def build_progress_printer(rig: Rig) -> Callable[[ProcedureProgress], None]:
-    """Return a callback that prints a line per tendon and every few seconds, for a log."""
-    next_s, at = 0.0, (0, 0)
-
-    def note(progress: ProcedureProgress) -> None:
-        nonlocal next_s, at
-        place = (progress.joint, progress.side)
-        if place == at and progress.time_s < next_s:
-            return
-        next_s, at = progress.time_s + LINE_PERIOD_S, place
-        where = progress.format_tendon(rig)
-        print(
-            f"{progress.time_s:6.1f} s  {progress.done:4.0%}  {where}: {progress.phase.text}",
-            file=sys.stderr,
-            flush=True,
-        )
-
-    return note
 
 
 def import_draw_figure() -> Callable[[ProcedureData, Calibration], Any]:

@@ -1,7 +1,7 @@
 """The phases of the initialisation: motor speeds and end condition of each.
 
 Every handler returns the speeds [m/s] of the joint's motors and the new state, which may be at the
-start of another phase.
+start of another phase, or raises `ProcedureRefused`.
 """
 
 import math
@@ -13,11 +13,11 @@ from slave.calibration.procedure_state import (
     JointConstants,
     JointReadings,
     Phase,
+    ProcedureRefused,
     ProcedureState,
     StopContact,
     Tendons,
     Trend,
-    abort_procedure,
     begin_phase,
     format_tendon_name,
 )
@@ -72,15 +72,14 @@ def _take_up_slack(
         loosest = min(range(count), key=lambda k: memory.tension[k])
         name = format_tendon_name(joint.number, count, loosest)
         if memory.tension[loosest] > TAUT_RATIO * config.take_up or sum(wound) > 2.0 * allowed:
-            return _abort_for_slack(
-                config, memory, sample, name, loosest, sum(wound), config.take_up
+            tension = memory.tension[loosest]
+            raise ProcedureRefused(
+                _explain_slack(config, name, tension, sum(wound), config.take_up)
             )
     tightest = min(range(count), key=wound.__getitem__)
     if wound[tightest] < -allowed:
         name = format_tendon_name(joint.number, count, tightest)
-        return _abort_and_hold(
-            memory,
-            sample,
+        raise ProcedureRefused(
             f"{name}: still {memory.tension[tightest]:.2f} N after paying out "
             f"{-wound[tightest] * 1e3:.1f} mm; something pulls on the joint, or one of its load "
             "cells is stuck or not tared; check both",
@@ -117,15 +116,15 @@ def _seek_stop(
         text = f"no stop within {config.travel_max * 1e3:g} mm, the tension is {tension:.2f} N"
         if travel - memory.cells[k].since > 0.5 * wound:
             text, remedy = f"{text}, and the reading never changes", "check the load cell"
-        return _abort_and_hold(memory, sample, f"{name}: {text}; {remedy}")
+        raise ProcedureRefused(f"{name}: {text}; {remedy}")
     if _has_lost_tension(config, memory, tension):
-        return _abort_for_loss(memory, sample, name, memory.highest, tension)
+        raise ProcedureRefused(_explain_loss(name, memory.highest, tension))
     if travel > memory.tried + PROBE_INTERVAL and procedure_state.is_cell_stuck(
         memory.cells[k], travel
     ):
         return _enter_phase(memory, Phase.PROBE, sample)
     speed = config.stretch_speed if stretching else config.seek_speed
-    return _draw_joint(config, joint, memory, sample, k, speed)
+    return _draw_joint(config, joint, memory, sample, k, speed), memory
 
 
 def _accept_stop(
@@ -140,9 +139,7 @@ def _accept_stop(
     assert contact is not None  # noqa: S101 - set by the caller
     rise = memory.tension[k] - contact.tension
     if rise < TENSION_RISE_MIN * config.tension:
-        return _abort_and_hold(
-            memory,
-            sample,
+        raise ProcedureRefused(
             f"{name}: {memory.tension[k]:.1f} N were reached before or just after the stop "
             f"({contact.tension:.1f} N): the tip presses on something soft, or friction, spring "
             "and the other tendon take all the tension; free the tip, or raise "
@@ -150,9 +147,7 @@ def _accept_stop(
         )
     compliance = (sample.travel[k] - contact.travel) / rise
     if compliance > softest:
-        return _abort_and_hold(
-            memory,
-            sample,
+        raise ProcedureRefused(
             f"{name}: beyond {contact.tension:.1f} N it yields by {compliance * 1e3:.3f} mm/N, "
             f"more than any sheath of this rig ({softest * 1e3:.3f} mm/N): the tip presses on "
             "something soft; free it",
@@ -172,7 +167,7 @@ def _probe_cell(
         return _enter_phase(memory, Phase.SEEK, sample)
     if memory.elapsed > PROBE_S:
         name = format_tendon_name(joint.number, len(sample.tension), k)
-        return _abort_for_cell(memory, sample, name, memory.tension[k])
+        raise ProcedureRefused(_explain_stuck_cell(name, memory.tension[k]))
     is_back = sample.motor[k] > memory.origin[k] - PROBE_TRAVEL
     return _build_single_speed(sample, k, -config.stretch_speed if is_back else 0.0), memory
 
@@ -223,15 +218,13 @@ def _pull_tendon(
         return _enter_phase(memory, Phase.RELEASE, sample)
     name = format_tendon_name(joint.number, len(sample.tension), k)
     if procedure_state.is_cell_stuck(memory.cells[k], sample.travel[k]):
-        return _abort_for_cell(memory, sample, name, tension)
+        raise ProcedureRefused(_explain_stuck_cell(name, tension))
     if _has_lost_tension(config, memory, tension):
-        return _abort_for_loss(memory, sample, name, memory.highest, tension)
+        raise ProcedureRefused(_explain_loss(name, memory.highest, tension))
     if wound > _compute_travel_max(config, memory):
         if tension < TAUT_RATIO * config.take_up:
-            return _abort_for_loss(memory, sample, name, config.tension, tension)
-        return _abort_and_hold(
-            memory,
-            sample,
+            raise ProcedureRefused(_explain_loss(name, config.tension, tension))
+        raise ProcedureRefused(
             f"{name}: the later pull reached only {tension:.1f} N, not {config.tension:g} N: the "
             "stop yields or the tendon slips; check both",
         )
@@ -249,9 +242,7 @@ def _drag_tendon(
     k = memory.side % 2
     tension, wound = memory.tension[k], sample.travel[k] - memory.origin[k]
     if tension >= config.tension:
-        return _abort_and_hold(
-            memory,
-            sample,
+        raise ProcedureRefused(
             f"joint {joint.number}: {tension:.1f} N on the way back from the stop, where the joint "
             "moved freely before: remove the obstacle",
         )
@@ -265,7 +256,7 @@ def _drag_tendon(
         return _enter_phase(memory, Phase.SETTLE, sample)
     speed = min(config.seek_speed, memory.lane / config.drag_time)
     if wound < LEAD_SHARE * memory.lane or (memory.easing and memory.tension[1 - k] <= config.keep):
-        return _draw_joint(config, joint, memory, sample, k, speed)
+        return _draw_joint(config, joint, memory, sample, k, speed), memory
     peak = DRAG_PEAK * config.tension
     if tension >= peak or wound > (0.5 + 0.5 * LEAD_SHARE) * memory.lane:
         memory = memory._replace(easing=True)
@@ -290,11 +281,9 @@ def _move_joint(
             return _enter_phase(memory, Phase.HOLD, sample)
     elif left > -POSTURE_ERROR and tension < max(memory.hold, OBSTACLE_RATIO * config.tension):
         speed = config.stretch_speed if left < POSTURE_ERROR else config.seek_speed
-        return _draw_joint(config, joint, memory, sample, k, speed)
+        return _draw_joint(config, joint, memory, sample, k, speed), memory
     where = f"{left * 1e3:.1f} mm before" if left > 0.0 else f"{-left * 1e3:.1f} mm beyond"
-    return _abort_and_hold(
-        memory,
-        sample,
+    raise ProcedureRefused(
         f"joint {joint.number}: posture not reached: {tension:.1f} N {where} its place; free the "
         "tip and the links, and check its stops and arms.radii",
     )
@@ -340,31 +329,18 @@ def _hold_motors(
     return _build_zero_speeds(sample), memory
 
 
-def _abort_and_hold(memory: ProcedureState, sample: JointReadings, reason: str) -> PhaseResult:
-    return _build_zero_speeds(sample), abort_procedure(memory, sample, reason)
-
-
-def _abort_for_slack(
-    config: InitialiseConfig,
-    memory: ProcedureState,
-    sample: JointReadings,
-    name: str,
-    k: int,
-    wound: float,
-    tension_target: float,
-) -> PhaseResult:
-    tension = memory.tension[k]
+def _explain_slack(
+    config: InitialiseConfig, name: str, tension: float, wound: float, tension_target: float
+) -> str:
     if tension > TAUT_RATIO * tension_target:
-        text = (
-            f"{wound * 1e3:.1f} mm had to be wound in before it was taut, more than "
+        return (
+            f"{name}: {wound * 1e3:.1f} mm had to be wound in before it was taut, more than "
             f"slave.initialise.slack_max ({config.slack_max * 1e3:g} mm); shorten the tendon"
         )
-    else:
-        text = (
-            f"{tension:.2f} N after winding in {wound * 1e3:.1f} mm; the tendon is broken, too "
-            "slack or not attached, or its load cell is stuck; check both"
-        )
-    return _abort_and_hold(memory, sample, f"{name}: {text}")
+    return (
+        f"{name}: {tension:.2f} N after winding in {wound * 1e3:.1f} mm; the tendon is broken, too "
+        "slack or not attached, or its load cell is stuck; check both"
+    )
 
 
 def _has_lost_tension(config: InitialiseConfig, memory: ProcedureState, tension: float) -> bool:
@@ -373,22 +349,17 @@ def _has_lost_tension(config: InitialiseConfig, memory: ProcedureState, tension:
     return is_low and memory.highest > TENSION_RISE_MIN * config.tension
 
 
-def _abort_for_loss(
-    memory: ProcedureState, sample: JointReadings, name: str, highest: float, tension: float
-) -> PhaseResult:
-    text = f"the tension was {highest:.1f} N and is {tension:.1f} N although the motor pulls"
-    return _abort_and_hold(memory, sample, f"{name}: {text}: the tendon slipped or broke")
+def _explain_loss(name: str, highest: float, tension: float) -> str:
+    return (
+        f"{name}: the tension was {highest:.1f} N and is {tension:.1f} N although the motor pulls: "
+        "the tendon slipped or broke"
+    )
 
 
-def _abort_for_cell(
-    memory: ProcedureState, sample: JointReadings, name: str, tension: float
-) -> PhaseResult:
-    return _abort_and_hold(
-        memory,
-        sample,
-        f"{name}: the load cell reads {tension:.2f} N without any change while the motor pulls: "
-        "it is stuck or saturated; check its cable and amplifier, or lower "
-        "slave.initialise.tension",
+def _explain_stuck_cell(name: str, tension: float) -> str:
+    return (
+        f"{name}: the load cell reads {tension:.2f} N without any change while the motor pulls: it "
+        "is stuck or saturated; check its cable and amplifier, or lower slave.initialise.tension"
     )
 
 
@@ -443,23 +414,24 @@ def _draw_joint(
     sample: JointReadings,
     k: int,
     speed: float,
-) -> PhaseResult:
+) -> Tendons:
     """Pull tendon `k` at `speed`; pay the other one out as fast and keep it just taut.
 
     As fast even while the joint rests: if it lagged, the joint would have to draw it out with e^K
     times its tension at the housing.
     """
     if len(sample.tension) == 1:
-        return (speed,), memory
+        return (speed,)
     antagonist = 1 - k
     wound = sample.travel[antagonist] - memory.lowest
     if wound > config.slack_max and memory.tension[antagonist] < TAUT_RATIO * config.keep:
         name = format_tendon_name(joint.number, 2, antagonist)
-        return _abort_for_slack(config, memory, sample, name, antagonist, wound, config.keep)
+        tension = memory.tension[antagonist]
+        raise ProcedureRefused(_explain_slack(config, name, tension, wound, config.keep))
     holding_speed = compute_holding_speed(
         config, memory.tension[antagonist], config.keep, DEAD_BAND_HIGH, -speed
     )
-    return ((speed, holding_speed) if k == 0 else (holding_speed, speed)), memory
+    return (speed, holding_speed) if k == 0 else (holding_speed, speed)
 
 
 def is_settled(config: InitialiseConfig, phase: Phase, tension: Tendons) -> bool:

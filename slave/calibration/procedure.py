@@ -21,6 +21,7 @@ from slave.calibration.procedure_state import (
     JointConstants,
     JointReadings,
     Phase,
+    ProcedureRefused,
     ProcedureState,
     Tendons,
     abort_procedure,
@@ -47,11 +48,13 @@ def step(
     `memory` is `ProcedureState()` to begin with; the readings are the newest, all finite.
     """
     memory = _update_readings(config, memory, sample, dt)
-    if memory.phase not in _END_PHASES:
-        refusal = _find_common_refusal(config, joint, memory, sample)
-        if refusal:
-            memory = abort_procedure(memory, sample, refusal)
-    speeds, memory = HANDLERS[memory.phase](config, joint, memory, sample)
+    try:
+        if memory.phase not in _END_PHASES:
+            _require_progress(config, joint, memory, sample)
+        speeds, memory = HANDLERS[memory.phase](config, joint, memory, sample)
+    except ProcedureRefused as refused:
+        speeds = (0.0,) * len(sample.motor)
+        memory = abort_procedure(memory, sample, str(refused))
     moves = tuple(speed * dt for speed in speeds)
     targets = tuple(m + d for m, d in zip(sample.motor, moves, strict=True))
     return targets, memory._replace(moved=moves, before=sample.motor)
@@ -97,28 +100,27 @@ def _update_blocked_times(memory: ProcedureState, sample: JointReadings, dt: flo
     )
 
 
-def _find_common_refusal(
+def _require_progress(
     config: InitialiseConfig, joint: JointConstants, memory: ProcedureState, sample: JointReadings
-) -> str:
-    """Return the reason to abort that applies in any phase; empty if none."""
+) -> None:
+    """Raise `ProcedureRefused` for what ends any phase."""
     count = len(sample.tension)
     if memory.elapsed > config.phase_max:
-        return (
+        raise ProcedureRefused(
             f"joint {joint.number}: {memory.phase.text} took longer than {config.phase_max:g} s; "
             "check what blocks it, or raise slave.initialise.phase_max"
         )
     for k in range(count):
         name = format_tendon_name(joint.number, count, k)
         if memory.blocked[k] > BLOCKED_S:
-            return f"{name}: {_explain_blocked_motor(memory, sample.verdict, k)}"
+            raise ProcedureRefused(f"{name}: {_explain_blocked_motor(memory, sample.verdict, k)}")
         behind = abs(sample.motor[k] - sample.travel[k])
         if behind > config.lag_max:
-            return (
+            raise ProcedureRefused(
                 f"{name}: the motor is {behind * 1e3:.1f} mm behind its command at "
                 f"{sample.tension[k]:.1f} N; check that it can pull {config.tension:g} N, or lower "
                 "slave.initialise.tension"
             )
-    return ""
 
 
 def _explain_blocked_motor(memory: ProcedureState, verdict: GateFlags, k: int) -> str:

@@ -128,6 +128,10 @@ class Phase(IntEnum):
     HOLD = 13, "holding"
 
 
+class ProcedureRefused(Exception):
+    """A reason to abort the procedure, with the remedy."""
+
+
 class JointReadings(NamedTuple):
     """Measurements of one joint at a tick; one entry per tendon."""
 
