@@ -6,11 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from master.config import MasterConfig
-from master.device import HandState
-from master.gate import FADE_S, GateConfig, GateFlags
+from master.gate import FADE_S, GateFlags
 from teleop.coupling import Bilateral, PassivityConfig, WaveConfig
-from teleop.link import NEVER_NS
 from teleop.session.state_machine import Reason, State
 from tests.master.run import EPOCH, MS, Run, answer, hand
 
@@ -173,85 +170,3 @@ def test_each_command_is_counted_as_answered_once_and_only_our_own():
         run.answered(hand(), State.READY, echo=echo).answer_ns for echo in echoes if run.now or echo
     ]
     assert answers == [0, sent[0], 0, sent[2], 0, sent[3], 0]
-
-
-ANY = st.floats(allow_nan=True, allow_infinity=True)
-FORCES = st.floats(-50.0, 50.0)
-
-
-@st.composite
-def inputs(draw):
-    """One tick's input: mostly a session in order, now and then anything at all."""
-    chaos = draw(st.integers(0, 9)) == 0
-    position = draw(ANY if chaos else st.floats(-0.2, 0.2))
-    velocity = draw(ANY if chaos else st.floats(-2.0, 2.0))
-    lost_device = chaos and draw(st.booleans())
-    return {
-        "hand": None if lost_device else (position, velocity),
-        "engage": draw(st.integers(0, 5)) > 0,
-        "age": draw(st.sampled_from([0, MS, 29 * MS])) if not chaos else draw(
-            st.sampled_from([0, 31 * MS, 10**10, NEVER_NS])
-        ),
-        "peer": draw(st.sampled_from([None, 0, 1, 2, 3, 9])) if chaos else "obedient",
-        "force": draw(ANY if chaos else FORCES),
-        "delay": draw(st.sampled_from([1, 500])) * MS if chaos else MS,
-        "fault": draw(st.sampled_from([Reason.NONE, Reason.DEVICE_FAULT]))
-        if chaos
-        else Reason.NONE,
-        "sender": draw(st.sampled_from([7, 8])) if chaos else 7,
-    }  # fmt: skip
-
-
-@settings(max_examples=200, deadline=None)
-@given(st.lists(inputs(), min_size=1, max_size=60), st.booleans())
-def test_over_any_session_the_force_is_safe_and_a_fault_lasts_until_release(script, engaged):
-    run = Run(MasterConfig(gate=GateConfig(axis_max=1.5, slew_max=4e3)))
-    if engaged:
-        run.engaged()
-    faulted = False  # and the switch not open since
-    peer = State.ENGAGED if engaged else State.READY
-    tip = None
-    for step in script:
-        now = run.now + MS
-        the_hand = None
-        if step["hand"] is not None:
-            position, velocity = step["hand"]
-            the_hand = HandState((position,), (velocity,), step["engage"])
-        number = peer if step["peer"] == "obedient" else step["peer"]
-        state = None
-        if number is not None:
-            state = answer(now, number, step["force"], now - step["delay"], step["sender"])
-        before, felt = run.state, run.memory.force.copy()
-        output = run.tick(the_hand, state, step["age"], step["fault"])
-        force, command = output.force, output.command
-
-        fresh = state is not None and step["age"] <= 30 * MS and step["delay"] <= 100 * MS
-        pressed = the_hand is not None and step["engage"]
-        assert all(math.isfinite(f) and abs(f) <= 1.5 for f in force)
-        if run.state == State.HOLDING:  # it fades
-            assert abs(force[0]) == 0.0 or abs(force[0]) < abs(felt[0])
-            assert force[0] * felt[0] >= 0.0
-        elif not (fresh and pressed and number == State.ENGAGED and step["fault"] == Reason.NONE):
-            assert force == (0.0,)
-        if any(force) and run.state != State.HOLDING:
-            assert math.isfinite(step["force"])
-            assert math.copysign(1.0, force[0]) == -math.copysign(1.0, step["force"])
-            assert run.state == before == State.ENGAGED
-
-        if faulted and pressed:
-            assert run.state == State.FAULT
-        if step["fault"] != Reason.NONE:
-            assert run.state == State.FAULT
-        faulted = run.state == State.FAULT and (faulted or before != State.FAULT)
-        if not pressed and the_hand is not None:
-            faulted = False
-            assert run.state != State.ENGAGED
-
-        assert all(math.isfinite(x) for x in (*command.position, *command.velocity))
-        if run.state != State.ENGAGED:
-            assert not any(command.velocity)
-            if tip is not None and step["sender"] == 7:
-                assert command.position == tip
-        tip = command.position if step["sender"] == 7 else None
-        assert command.state == run.state
-        peer = {State.ENGAGED: State.ENGAGED, State.READY: State.READY}.get(run.state, peer)

@@ -209,6 +209,7 @@ def test_whatever_comes_between_the_phases_the_force_is_safe(bilateral, script):
     for _ in range(2):
         run.tick(hand(), told((2, 5.0, 0, 7, 0.0))[0])
     assert state_machine.may_render(run.memory.session)
+    faulted, tip = False, None  # in fault, and the switch not open since
     for the_hand, first, second, faulty in script:
         fault = Reason.DEVICE_FAULT if faulty and the_hand is None else Reason.NONE
         state, age = told(first)
@@ -234,6 +235,21 @@ def test_whatever_comes_between_the_phases_the_force_is_safe(bilateral, script):
             assert abs(force) < abs(was) or force == 0.0
         elif not right or before != State.ENGAGED:
             assert force == 0.0
+        elif force and bilateral == Bilateral():
+            assert math.copysign(1.0, force) == -math.copysign(1.0, known[1])
+
+        pressed = the_hand is not None and the_hand.engage
+        if (faulted and pressed) or fault is not Reason.NONE:
+            assert run.state in (State.FAULT, State.STOPPED)
+        faulted = run.state == State.FAULT and (faulted or before != State.FAULT)
+        if the_hand is not None and not pressed:
+            faulted = False
+            assert run.state != State.ENGAGED
+        command = output.command
+        if command.state != State.ENGAGED:
+            assert not any(command.velocity)
+            assert tip is None or first[3] != 7 or command.position == tip
+        tip = command.position if first[3] == 7 else None
 
 
 def test_axes_of_a_device_do_not_leak_into_each_other():

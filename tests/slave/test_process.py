@@ -327,21 +327,6 @@ def test_the_answer_is_out_before_the_rig_is_advanced_once_a_tick():
     assert ticks[-1] == ["read", "write", "answer", "advance", "answer"]
 
 
-@pytest.mark.parametrize(
-    ("fails", "error", "last"),
-    [
-        ("read_fails_at", RigFault, ["read", "answer", "answer"]),
-        ("read_fails_at", RigFinished, ["read", "answer", "answer"]),
-        ("write_fails_at", RigFault, ["read", "write", "answer", "answer"]),
-        ("advance_fails_at", RigFault, ["read", "write", "answer", "advance", "answer", "answer"]),
-    ],
-)
-def test_a_rig_is_not_advanced_after_a_fault(fails, error, last):
-    line = CommandingLink()
-    driven(Witness(line, **{fails: 20}, error=error), line)
-    assert order(line)[-1] == last
-
-
 class Foresighted(FakeRig):
     """A rig of known samples; of reads now and then none is given, or two, whatever was foreseen.
 
@@ -667,14 +652,6 @@ def test_motors_move_on_from_where_they_are_after_the_stop():
     bench.run_on(20)
     assert bench.rig.writes[written][0] == START + FELL_BACK
     assert bench.rig.stops == [written]
-
-
-def test_a_rig_without_a_stop_of_its_own_is_held():
-    bench = Bench(FakeRig(), CalibrationHistory(now_ns(), (), (HELD,)))
-    bench.call(CALL)
-    bench.run_on(10)
-    assert bench.side.state is State.STOPPED
-    assert bench.rig.writes == [[HELD]] * 10
 
 
 @pytest.mark.parametrize("with_dynamics", [False, True])

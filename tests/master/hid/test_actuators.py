@@ -9,12 +9,10 @@ from master.devices.hid.descriptor import parse_descriptor
 from master.devices.hid.device import HidDevice
 from master.devices.hid.driver import ActuatorReports, ActuatorState
 from master.devices.hid.input_map import AxisConfig, HidConfig
-from master.devices.hid.pid import PidDriver
 from studies.hid import descriptors
 from studies.hid.virtual.catalogue import DEVICES
 from studies.hid.virtual.sidewinder import SideWinder
 from teleop.launch.supervisor import wait_for_condition
-from tests.master.hid.test_pid import Cable
 from tests.master.reading import comes_back, reads, said
 
 BOARD = ActuatorReports(parse_descriptor(descriptors.openffboard()))
@@ -183,18 +181,3 @@ def test_a_beginning_that_fails_right_after_the_reset_does_not_leave_it_pushing(
     with pytest.raises(DeviceFault):
         open_device()
     assert node.force() == NONE
-
-
-def test_left_by_a_process_that_was_killed_it_does_not_push_nor_at_the_next_start():
-    device = stick()
-    cable, driver = Cable(device), PidDriver(device.descriptor)
-    driver.begin(cable)
-    assert any(cable.push(driver, (0.5, 0.0)))
-    cable.now = 0.25  # and not a byte more
-    assert device.force(cable.now) == NONE
-    again = PidDriver(device.descriptor)
-    again.begin(cable)
-    assert device.force(cable.now) == NONE
-    for report in again.silence():
-        cable.write(report)
-    assert device.force(cable.now) == NONE

@@ -84,12 +84,3 @@ def test_one_report_that_fails_does_not_keep_the_others_back(tmp_path, monkeypat
     monkeypatch.setattr(watchdog.select, "select", lambda *_: ([0], [], []))
     watchdog.main(os.devnull, b"bad".hex(), b"good".hex())
     assert written == [b"ready\n", b"good"]
-
-
-def test_when_it_is_told_to_go_it_writes_too_and_is_gone(tmp_path):
-    node = tmp_path / "node"
-    node.touch()
-    owner = ForceWatchdog(str(node), [b"zero"])
-    assert owner.end()
-    assert owner.process.returncode == 0
-    assert node.read_bytes() == b"zero"

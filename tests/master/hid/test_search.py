@@ -7,7 +7,6 @@ import pytest
 from master.device import DeviceFault
 from master.devices.hid import driver_table, dualsense, joystick, search, wheels
 from master.devices.hid.device import HidDevice
-from master.devices.hid.driver_table import DRIVERS
 from master.devices.hid.input_map import AxisConfig, HidConfig
 from studies.hid import descriptors
 from studies.hid.virtual.arduino import Arduino
@@ -149,14 +148,6 @@ def test_what_was_beside_it_when_it_went_is_not_it_but_it_may_never_have_left(hi
         search.find_reattached_device(found, before)
     back = hidraw.plug(OpenFFBoard(descriptors.openffboard()))
     assert search.find_reattached_device(found, before).item.path == str(back.path)
-
-
-def test_no_device_that_may_keep_a_force_counts_as_one_that_forgets():
-    assert {name for name, kind in DRIVERS.items() if not kind.forgets} == {
-        "ffbeast",  # its maker names no time
-        "logitech",
-        "dualsense",
-    }
 
 
 def test_force_signs_are_of_one_driver_and_one_descriptor(hidraw):

@@ -69,11 +69,3 @@ def test_nothing_is_opened_before_what_broke_has_said_its_last_word(monkeypatch)
     assert seen == []
     broken.free.set()
     assert wait_for_condition(lambda: looking.found is thing, 5.0)
-
-
-def test_what_is_found_but_not_taken_is_ended():
-    thing = Thing()
-    looking, _ = seek(Thing(), thing)
-    assert wait_for_condition(lambda: looking.found is thing, 5.0)
-    looking.end(5.0)
-    assert thing.asked
