@@ -175,7 +175,7 @@ def run_adapting(
     adapted_from = _run_arrays(
         constants, states, prepared, estimators, t, T, q, loop, estimates, K, with_dynamics
     )
-    if constants["active"][0]:  # K + error is the interval's wider side, which may leave the bounds
+    if constants["active"][0]:
         K[1:] = np.clip(K[1:], constants["K"].min(), constants["K"].max())
     fields = Estimates(*(estimates[name].copy() for name in Estimates._fields))
     pieces, contradictions = int(states["pieces"][0]), int(states["contradictions"][0])
@@ -485,11 +485,13 @@ def hold_interval(
     K, growth = prepared.tables[_K], (GROWTH * state.evidence_age + state.doubt) * state.K
     low = max(state.low - growth, constants.K[0])
     high = min(state.high + growth, constants.K[FACTOR_COUNT - 1])
-    error = max(high - K, K - low) - prepared.friction_error * K
-    error, before = max(error, 0.0), prepared.adaptation_error
-    prepared.adaptation_error = error
+    calibrated_error = prepared.friction_error * K
+    before = max(prepared.K_below, prepared.K_above)
+    prepared.K_below = max(K - low - calibrated_error, 0.0)
+    prepared.K_above = max(high - K - calibrated_error, 0.0)
     # what was proved holds for the K of then
-    widening = math.exp(abs(K - K_before) + max(error - before, 0.0))
+    growth = max(prepared.K_below, prepared.K_above) - before
+    widening = math.exp(abs(K - K_before) + max(growth, 0.0))
     estimator.proved_low /= widening
     estimator.proved_high *= widening
 
@@ -534,5 +536,6 @@ def _run_arrays(
 def store_friction(prepared: PreparedTendon, K: Array, i: int) -> None:
     """Write K in use and the ends of its interval into column `i` of `K`, shape (3, n)."""
     K[0, i] = prepared.tables[_K]
-    error = prepared.friction_error * K[0, i] + prepared.adaptation_error
-    K[1, i], K[2, i] = K[0, i] - error, K[0, i] + error
+    error = prepared.friction_error * K[0, i]
+    K[1, i] = K[0, i] - error - prepared.K_below
+    K[2, i] = K[0, i] + error + prepared.K_above

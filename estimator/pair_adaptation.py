@@ -664,7 +664,17 @@ def _adapt(
 def _write_estimate(state: PairTendon, prepared: PreparedTendon, estimate: TendonEstimate) -> None:
     drag = prepared.tables[_DRAG]
     T_out = state.tension[CELLS] - drag
-    estimate.distal_tension = min(max(T_out, estimate.low), estimate.high)
+    estimate.distal_tension = T_out = min(max(T_out, estimate.low), estimate.high)
+    # as in `online`: with a smaller K the tip is at a smaller depth; beyond it (T2) holds
+    low, high, ratio = T_out + drag, T_out + drag, math.exp(-prepared.K_below)
+    n = CELLS
+    while ratio < 1.0 and n > 0:
+        n -= 1
+        ratio /= state.pull_ratio[3 * n // CELLS]
+        low, high = min(low, state.tension[n]), max(high, state.tension[n])
+    ratio = math.exp(prepared.K_above)
+    estimate.adapted_low = max(min(low, (T_out + drag) / ratio) - drag, 0.0)
+    estimate.adapted_high = max(high, (T_out + drag) * ratio) - drag
     e = state.elongation - drag * prepared.tables[_LENGTH] / prepared.tables[_EA]
     estimate.distal_displacement += estimate.elongation - e
     estimate.elongation = e

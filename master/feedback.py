@@ -49,11 +49,11 @@ def compute_tip_forces(
 
     Zero before the first state, for axes without a joint, and for joints with an invalid estimate.
     """
-    estimates = np.zeros((3, MAX_JOINTS))
+    estimates = np.zeros((4, MAX_JOINTS))
     reduction = state.force_reduction if has_state else 0.0
     for k in range(axes):
         if has_state and k < state.joints and is_valid(state, k):
-            estimates[0, k] = state.force[k]
+            estimates[0, k], estimates[3, k] = state.force[k], state.force_margin[k]
             estimates[1, k], estimates[2, k] = state.force_low[k], state.force_high[k]
         else:
             estimates[1:, k] = math.nan  # of an arm, no joint is then rendered

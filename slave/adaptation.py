@@ -164,7 +164,9 @@ def mute_monitors(
             is_inside = _is_inside(bounds, K)
             decided[i] = is_inside and age < UNDECIDED_S
             if decided[i] and is_degraded:
-                error = prepared[i].friction_error * K + prepared[i].adaptation_error
+                error = prepared[i].friction_error * K + max(
+                    prepared[i].K_below, prepared[i].K_above
+                )
                 decided[i] = low <= K <= high and error <= SETTLED_WIDTH * K
             if decided[i]:
                 monitors[i].count, monitors[i].force_error = 0, 0.0
@@ -201,9 +203,9 @@ def compute_friction(
     """Return K in use of a tendon, with its interval."""
     model = prepared[tendon]
     K = float(model["tables"][_K])
-    error = float(model["friction_error"] * K + model["adaptation_error"])
-    low, high = K - error, K + error
-    if adapter is not None and adapter.constants["active"][tendon]:  # the wider side counts twice
+    error = float(model["friction_error"] * K)
+    low, high = K - error - float(model["K_below"]), K + error + float(model["K_above"])
+    if adapter is not None and adapter.constants["active"][tendon]:
         bounds = adapter.constants["K"][tendon]
         low, high = max(low, bounds.min()), min(high, bounds.max())
     return TendonFriction(K, low, high)

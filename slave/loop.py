@@ -529,11 +529,11 @@ def compute_rendered_forces(
         `SlaveState.force_reduction`.
     """
     force_max = force_max if force_max > 0.0 else 0.0
-    estimates = np.zeros((3, MAX_JOINTS))
+    estimates = np.zeros((4, MAX_JOINTS))
     for k in range(joints):
         estimate = joint_estimates[k]
         if math.isfinite(estimate.force) and not estimate.status & INVALID_INPUT:
-            estimates[0, k] = estimate.force
+            estimates[0, k], estimates[3, k] = estimate.force, estimate.margin
             estimates[1, k], estimates[2, k] = estimate.low, estimate.high
         else:
             estimates[1:, k] = math.nan  # of an arm, no joint is then rendered
@@ -647,6 +647,7 @@ def _fill_state(tick: Tick, out: SlaveState) -> None:
         state.force[k] = joint.force if is_joint else 0.0
         state.force_low[k] = joint.low if is_joint else 0.0
         state.force_high[k] = joint.high if is_joint else 0.0
+        state.force_margin[k] = joint.margin if is_joint else 0.0
         state.status[k] = joint.status if is_joint else 0
 
 

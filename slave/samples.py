@@ -134,6 +134,7 @@ def _replace_estimate(tendon: EstimatedTendon, values: Array) -> None:
     """Replace the tension at the tip, its interval [N] and the elongation [m] by `values`."""
     tip = tendon.estimate
     tip.distal_tension, tip.low, tip.high = values[0], values[1], values[2]
+    tip.adapted_low = tip.adapted_high = values[0]
     tip.elongation = values[3]
     tip.distal_displacement = tendon.corrected_displacement - tip.elongation
 

@@ -271,7 +271,8 @@ def simulate_use(seed: int, pair: bool, given: Conditions = ORDINARY) -> Use:
 
 def render(run: Estimates) -> Array:
     """Return the force [N] that reaches the hand, before it is scaled."""
-    rows = zip(run.distal_tension, run.low, run.high, strict=True)
+    T_out = run.distal_tension
+    rows = zip(T_out, run.low, run.high, T_out - run.adapted_low, strict=True)
     return np.array([attenuate_force(CONFIDENCE, *row) for row in rows])
 
 
@@ -283,6 +284,7 @@ class Scores(NamedTuple):
     within: Array  # share of time within 5 % of full scale, shape (2,)
     inside: Array  # share of all time inside the interval, shape (2,)
     rendered: Array  # mean of the force in the hand over that of T_out, before the change and late
+    excess: Array  # of the force in the hand over T_out: largest; time above 2 %, shape (2, 2)
     K_error: Array  # relative, where scoring begins and at the end
     is_adapted: bool
     is_false: bool  # adapted before the change
@@ -303,12 +305,15 @@ def score_use(use: Use, settle: float = SETTLE_S) -> list[Scores]:
         tip, K = use.tip[:, k], use.K_after[k]
         both = online.run(online.prepare(model), use.time, T[k], q[k]), run.estimates
         errors = [abs(r.distal_tension - tip)[late] / tip.max() for r in both]
+        felt = [render(r) for r in both]
+        excess = [(f - tip)[use.time > EARLY_S] / tip.max() for f in felt]
         scores = Scores(
             abs(K / model.sheath.K - 1.0) > 0.01,
             np.array([np.percentile(e, [50, 90, 99]) for e in errors]),
             np.array([np.mean(e < 0.05) for e in errors]),
             np.array([np.mean((r.low <= tip + 1e-6) & (tip <= r.high)) for r in both]),
-            np.array([[render(r)[w].sum() / tip[w].sum() for w in (early, late)] for r in both]),
+            np.array([[f[w].sum() / tip[w].sum() for w in (early, late)] for f in felt]),
+            np.array([[e.max(), np.mean(e > 0.02)] for e in excess]),
             run.K[late][[0, -1]] / K - 1.0,
             run.adapted_from >= 0,
             run.adapted_from >= 0 and bool(use.time[run.adapted_from] < CHANGE_S),
@@ -381,7 +386,9 @@ def report(scores: list[Scores], is_changed: bool) -> None:
             f"5 %: {within.mean():.1%} of time, 90 % of time in {np.mean(within >= 0.9):.0%} of "
             f"tendons; inside the interval {np.mean(inside):.2%}, least {np.min(inside):.2%}; "
             "in the hand, before the change and late: "
-            f"{100.0 * np.mean([s.rendered[i] for s in scores], axis=0).round(2)} % of T_out"
+            f"{100.0 * np.mean([s.rendered[i] for s in scores], axis=0).round(2)} % of T_out; more "
+            f"by {max(s.excess[i, 0] for s in scores):.1%} of full scale at most, by 2 % in "
+            f"{np.mean([s.excess[i, 1] for s in scores]):.2%} of time"
         )
 
 

@@ -2,7 +2,6 @@
 
 python -m studies.moving_sheath                     a tendon against a spring, configs/demo.yaml
 python -m studies.moving_sheath --pair              a pair of tendons, configs/paper-joint.yaml
-python -m studies.moving_sheath --confidence 0.05 0.3   renders less of what is uncertain
 python -m studies.moving_sheath --image FILE        draws it, too
 python -m studies.moving_sheath --recordings FOLDER keeps the recordings; uses those that are there
 
@@ -80,7 +79,6 @@ def list_settings(options: Namespace, adapts: bool) -> list[str]:
         for text in ("load_cell={noise: 0.02, resolution: 0.002}", "encoder={lines: 18000}")
     ]
     growth = options.change / GROW_S
-    full, none = options.confidence
     return [
         *sensors,
         f"{joint}.environment={WALL}",
@@ -88,7 +86,6 @@ def list_settings(options: Namespace, adapts: bool) -> list[str]:
         f"limit: {abs(options.change)}}}]",
         f"slave.adaptation.enabled={str(adapts).lower()}",
         "slave.monitor={advise: 10, demand: 10}",
-        f"confidence={{full: {full}, none: {none}}}",
         "slave.command_timeout=0.15",
         "master.state_timeout=0.15",
         "master.delay_max=0.2",
@@ -213,7 +210,6 @@ def main() -> None:
         __doc__,
         pair=(False, "a pair of tendons"),
         change=(0.5, "relative change of friction"),
-        confidence=((0.5, 1.5), "relative half-widths `full` and `none`"),
         recordings=(Path, "folder of recordings"),
         image=(Path, "file of the picture"),
     )

@@ -97,6 +97,20 @@ def get_point(profile: Profile, index: int) -> tuple[float, float, float]:
 
 
 @jit_compile
+def find_extremes(profile: Profile, depth: float) -> tuple[float, float]:
+    """Return the least and the largest y from a friction `depth` to the tip."""
+    k = count_points(profile) - 1
+    s, y, _ = get_point(profile, k)
+    low = high = y
+    while s > depth and k > 0:
+        k -= 1
+        s, y, slope = get_point(profile, k)
+        y += slope * max(depth - s, 0.0)
+        low, high = min(low, y), max(high, y)
+    return low, high
+
+
+@jit_compile
 def get_piece_integral(profile: Profile, index: int) -> float:
     """Return ∫ (T + tau) dx over the piece that follows break point `index` [N m]."""
     area: float = profile[_AREA + ((int(profile[_HEAD]) + index) & _MASK)]

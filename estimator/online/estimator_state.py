@@ -34,7 +34,8 @@ class PreparedTendon(Struct):
     time_constant: F64 = 0.0  # [s] of the average that treats the tension
     dead_band: F64 = 0.0  # [-] that follows, in sigma of the averaged tension
     friction_error: F64 = 0.0  # relative, of K
-    adaptation_error: F64 = 0.0  # of K, in addition: estimator.adaptation
+    K_below: F64 = 0.0  # by which K may be smaller, in addition: estimator.adaptation
+    K_above: F64 = 0.0  # by which it may be larger
     elongation_error: F64 = 0.0  # relative, of the predicted elongation
     tip_tension_rate: F64 = 0.0  # [N/s] at which T_out may change unseen
     has_dynamics: Flag = False  # whether `dynamics` are of any effect

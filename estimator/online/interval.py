@@ -106,7 +106,7 @@ def tighten_interval(
             table, to_log_tension(table, T_max) + side * depth + table[_ASYMMETRY] * K_left
         )
         tip_change = prepared.tip_tension_rate * state.window_age if state.window_age > 0.0 else 0.0
-        doubt = math.exp(prepared.adaptation_error)
+        doubt = math.exp(max(prepared.K_below, prepared.K_above))
         state.proved_low = max(state.proved_low, low / doubt - tip_change)
         state.proved_high = min(state.proved_high, high * doubt + tip_change)
         profile = state.profile[:]

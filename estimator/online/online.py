@@ -26,7 +26,12 @@ from estimator import noise_treatment
 from estimator.array_types import Array
 from estimator.compiled import jit_compile, jit_inline
 from estimator.law import tables as _tables
-from estimator.law.play_profile import from_log_tension, push_proximal, to_log_tension
+from estimator.law.play_profile import (
+    find_extremes,
+    from_log_tension,
+    push_proximal,
+    to_log_tension,
+)
 from estimator.law.transmission import evaluate_tension, read_profile
 from estimator.online.driving_end import anchor_window, drive_profile
 from estimator.online.dynamic_correction import (
@@ -94,6 +99,8 @@ class Estimates(NamedTuple):
     distal_tension: Array
     low: Array
     high: Array
+    adapted_low: Array
+    adapted_high: Array
     elongation: Array
     distal_displacement: Array
     front: Array
@@ -238,7 +245,7 @@ def _advance_law(
         if with_dynamics is not None and 0.0 <= dt < math.inf:
             state.dynamics.refused_time += dt
         low, high = max(state.low - tip_change, 0.0), state.high + tip_change
-        _write_estimate(table, state, low, high, math.nan, status, estimate)
+        _write_estimate(prepared, state, low, high, math.nan, status, estimate)
         return
     if not state.started:
         state.started = True
@@ -257,7 +264,7 @@ def _advance_law(
     if not _is_initialised(table, state):
         status |= UNINITIALISED
     low, high = _compute_bounds(prepared, state, tension, T)
-    _write_estimate(table, state, low, high, q, status, estimate)
+    _write_estimate(prepared, state, low, high, q, status, estimate)
 
 
 @jit_inline
@@ -338,7 +345,7 @@ def _compute_bounds(
     """Return the interval of T_out [N]: (T2) with the sensor noise, cut by what was proved."""
     table, mean, held = prepared.tables[:], tension.mean, tension.held_mean
     margin = BOUND_SIGMAS * prepared.tension_noise
-    K = table[_K] * (1.0 + prepared.friction_error) + prepared.adaptation_error
+    K = table[_K] * (1.0 + prepared.friction_error) + prepared.K_above
     low = from_log_tension(table, to_log_tension(table, min(mean, T, held) - margin) - K)
     high = from_log_tension(
         table, to_log_tension(table, max(mean, T, held) + margin) + table[_ASYMMETRY] * K
@@ -361,7 +368,7 @@ def _compute_release_gain(table: Array) -> float:
 
 @jit_compile
 def _write_estimate(
-    table: Array,
+    prepared: PreparedTendon,
     state: EstimatorState,
     low: float,
     high: float,
@@ -370,7 +377,17 @@ def _write_estimate(
     estimate: TendonEstimate,
 ) -> None:
     """Write what the profile says, and the interval, opened as far as to hold it."""
-    _, T_out, e, phase, front = read_profile(table, state.profile[:])
+    table, profile = prepared.tables[:], state.profile[:]
+    _, T_out, e, phase, front = read_profile(table, profile)
+    estimate.adapted_low = estimate.adapted_high = T_out
+    if prepared.K_below > 0.0 or prepared.K_above > 0.0:
+        # the play operators of (T10) are the same for any K: with a smaller one, the tip is at a
+        # smaller depth; beyond the tip the profile is within (T2)
+        y = to_log_tension(table, T_out)
+        y_low, y_high = find_extremes(profile, table[_K] - prepared.K_below)
+        estimate.adapted_low = from_log_tension(table, min(y_low, y - prepared.K_above))
+        y_high = max(y_high, y + table[_ASYMMETRY] * prepared.K_above)
+        estimate.adapted_high = from_log_tension(table, y_high)
     state.low, state.high = min(low, T_out), max(high, T_out)
     estimate.distal_tension, estimate.low, estimate.high = T_out, state.low, state.high
     estimate.elongation, estimate.distal_displacement = e, q - e
@@ -392,6 +409,8 @@ def _add_dynamics(
     corrected = bound_tip_tension(prepared.dynamics, T_out, max(T_out + change, 0.0))
     corrected = min(corrected, tension_max)
     estimate.distal_tension = corrected
+    estimate.adapted_low = max(estimate.adapted_low + corrected - T_out, 0.0)
+    estimate.adapted_high += corrected - T_out
     estimate.low = min(max(min(low, low + change), 0.0), corrected)
     estimate.high = max(high, min(high + change, tension_max), corrected)
     margin = bound_function_error(prepared.dynamics, dynamics, corrected)

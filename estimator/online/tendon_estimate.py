@@ -36,6 +36,8 @@ class TendonEstimate(Struct):
     distal_tension: F64 = 0.0  # [N] T_out
     low: F64 = 0.0  # [N] least T_out that the data and the noise allow
     high: F64 = math.inf  # [N] largest; inf before the first valid sample
+    adapted_low: F64 = 0.0  # [N] T_out with an adapted K at the end of its interval that lowers it
+    adapted_high: F64 = 0.0  # [N] and at the one that raises it
     elongation: F64 = 0.0  # [m] e
     distal_displacement: F64 = math.nan  # [m] q_p - e up to a constant; NaN without displacement
     front: F64 = 0.0  # [m] X'

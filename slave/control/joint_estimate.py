@@ -31,6 +31,7 @@ class JointEstimate(Struct):
     force: F64 = nan  # [N] of the environment on the tendons, positive against pulling by `a`
     low: F64 = nan  # [N] ends of the certified interval of the force
     high: F64 = nan  # [N]
+    margin: F64 = 0.0  # [N] by which |force| is less with adapted K at the ends of their intervals
     status: I64 = 0  # bits of estimator.online.tendon_estimate.Status, of all its tendons
 
 
@@ -150,6 +151,7 @@ def estimate_joints(
         fuse_travels(layout.group[g], tendons, travel)
     for j in range(layout.joints):
         position, force, low, high, status = 0.0, 0.0, 0.0, 0.0, 0
+        adapted_low, adapted_high = 0.0, 0.0
         for i in range(layout.tendons):
             share, ratio, tendon = layout.inverse[j, i], layout.travel[i, j], tendons[i].estimate
             if share != 0.0:
@@ -160,10 +162,14 @@ def estimate_joints(
                 force += ratio * tendon.distal_tension
                 low += ratio * (tendon.low if ratio > 0.0 else tendon.high)
                 high += ratio * (tendon.high if ratio > 0.0 else tendon.low)
+                adapted_low += ratio * (tendon.adapted_low if ratio > 0.0 else tendon.adapted_high)
+                adapted_high += ratio * (tendon.adapted_high if ratio > 0.0 else tendon.adapted_low)
         if layout.is_coupled:
             force, low, high = arm_force[0, j], arm_force[1, j], arm_force[2, j]
+            adapted_low = adapted_high = force
             if not isfinite(force):
                 status |= INVALID_INPUT
         joint = out_estimates[j]
         joint.position, joint.status = position, status
         joint.force, joint.low, joint.high = force, low, high
+        joint.margin = force - adapted_low if force > 0.0 else adapted_high - force

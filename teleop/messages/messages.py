@@ -276,6 +276,7 @@ class SlaveState(Message):
     force: Joints = NO_JOINTS  # [N] estimated distal force, positive = against pulling
     force_low: Joints = NO_JOINTS  # [N] the certified interval's ends
     force_high: Joints = NO_JOINTS  # [N]
+    force_margin: Joints = NO_JOINTS  # [N] by which its size may be less as an adapted K may differ
     status: JointFlags = NO_JOINT_FLAGS  # bits named by STATUS_NAMES, all tendons of the joint
     sample_age_ns: I64 = 0  # since the newest usable sample; 0 while there is none
     stops: U32 = 0  # as in Command

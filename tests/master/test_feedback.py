@@ -18,13 +18,14 @@ CONFIDENCE = to_struct(ConfidenceConfig())
 BILATERAL = view_struct(to_bilateral_settings(Bilateral()))
 
 
-def slave_state(*force, width=0.0, joints=None, status=0):
+def slave_state(*force, width=0.0, margin=0.0, joints=None, status=0):
     return SlaveState(
         status=(status, *(0,) * (MAX_JOINTS - 1)),
         joints=len(force) if joints is None else joints,
         force=pad_values(force, MAX_JOINTS),
         force_low=pad_values([f - width for f in force], MAX_JOINTS),
         force_high=pad_values([f + width for f in force], MAX_JOINTS),
+        force_margin=pad_values([margin for _ in force], MAX_JOINTS),
     )
 
 
@@ -51,10 +52,10 @@ def test_a_force_that_is_no_number_is_not_turned_into_one(bad):
     assert not math.isfinite(feedback.limit_slew(10.0, 0.0, felt, 1e-3))
 
 
-@given(FORCES, st.floats(0.0, 200.0))
-def test_a_force_is_felt_as_far_as_its_interval_allows(force, width):
-    (felt,) = tip_forces(slave_state(force, width=width), 1)
-    assert felt == attenuate_force(CONFIDENCE, force, force - width, force + width)
+@given(FORCES, st.floats(0.0, 200.0), st.floats(0.0, 50.0))
+def test_a_force_is_felt_as_far_as_its_interval_and_its_margin_allow(force, width, margin):
+    (felt,) = tip_forces(slave_state(force, width=width, margin=margin), 1)
+    assert felt == attenuate_force(CONFIDENCE, force, force - width, force + width, margin)
 
 
 @pytest.mark.parametrize("force", [5.0, math.nan])

@@ -72,7 +72,7 @@ def test_tendons_of_a_pair_adapt_together_and_a_single_one_by_itself():
     assert slave.adapter.states["pieces"][2] > 10
     assert slave.adapter.states["pieces"].tolist()[:2] == [0, 0]
     assert slave.adapter.pairs["started"].tolist() == [True, False]
-    assert (slave.prepared["adaptation_error"] > 0.0).all()
+    assert (slave.prepared["K_below"] + slave.prepared["K_above"] > 0.0).all()
     assert slave.adapter.get_friction(1).tobytes() == slave.adapter.pairs[0]["b"].tobytes()
     models = [TENDON.build_model()] * 4 + [TendonConfig(effective_friction=0.05).build_model()]
     (line,) = describe_fixed(ON, ((0,), (1, 2), (3, 4)), models)
@@ -115,7 +115,7 @@ def test_the_monitor_is_heard_where_the_adaptation_cannot_decide():
     for i, (low, error) in enumerate(((0.7, 0.1), (0.85, 0.1), (0.7, 0.3))):
         friction = slave.adapter.get_friction(i)
         friction["low"], friction["high"] = low, 0.9
-        slave.prepared["adaptation_error"][i] = error
+        slave.prepared["K_below"][i], slave.prepared["K_above"][i] = 0.1, error
     assert left(0.8, 1.0, 1.0, 1.0) == [0, 5, 5]  # the second is not in use yet, the third wide
     slave = started(second=TendonConfig(effective_friction=0.05))  # a pair with nothing to adapt
     assert left(0.8, 1.0, 1.0, 1.0) == [5, 5, 0]
