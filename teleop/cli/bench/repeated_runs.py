@@ -170,75 +170,67 @@ def add_config(parser: argparse.ArgumentParser) -> None:
     )
 
 
-class RepeatedRuns:
-    """Repeats a measurement by the options, and reports the result."""
-
-    def __init__(self, name: str, args: argparse.Namespace) -> None:
-        self.runs = args.runs or (QUICK_RUNS if args.quick else RUNS)
-        self.seconds = args.seconds or (QUICK_SECONDS if args.quick else SECONDS)
-        if args.runs is not None and not 1 <= args.runs <= 1000:
-            raise UsageError(f"--runs {args.runs}: must be 1 to 1000")
-        if self.seconds < SECONDS_LEAST:
-            raise UsageError(f"--seconds {self.seconds:g}: must be at least {SECONDS_LEAST:g}")
-        self.granted: list[str] = []
-        self._name, self._out = name, args.json
-        self._old = None if args.compare is None else read_result(args.compare, name)
-        self._machine = describe_machine()
-        self._begin_s = time.monotonic()
-
-    def say(self, text: str) -> None:
-        """Print a line of progress."""
-        print(f"{time.monotonic() - self._begin_s:5.0f} s  {text}", file=sys.stderr, flush=True)
-
-    def warm_up(self, config: Path) -> None:
-        """Run a session that is not counted, to fill the compile cache."""
-        self.say("first run, not counted")
-        summary = session.run_session(config, WARM_S).summary
-        self.granted = list(summary["slave"]["realtime"])
-
-    def conclude(self, metrics: Sequence[Metric]) -> int:
-        """Print the result, write it, compare it; return the exit code."""
-        print("\n".join(format_description(self._machine, self.granted)))
-        print(f"medians of {self.runs} runs of {self.seconds:g} s\n")
-        print("\n".join(metric.format_table(metrics)))
-        result = {
-            "bench": self._name,
-            "machine": self._machine | {"realtime": self.granted},
-            "runs": self.runs,
-            "seconds": self.seconds,
-            "figures": metric.to_tree(metrics),
-        }
-        write_summary(self._out, result)
-        if self._old is not None:
-            print("\n" + "\n".join(metric.format_comparison(metrics, self._old)))
-        return 0
-
-
 def repeat_measurement(
-    name: str, args: argparse.Namespace, measure: Callable[[Path, float, RunConfig], Row]
+    bench: str, args: argparse.Namespace, measure: Callable[[Path, float, RunConfig], Row]
 ) -> int:
-    """Measure one session repeatedly; `measure` takes its config file, seconds and config."""
-    repeated = RepeatedRuns(name, args)
+    """Measure sessions repeatedly, print the result, write it, compare it; return the exit code.
+
+    `measure` takes a session's config file, its seconds and its config. With a list of `--joints`
+    there is a session for each number in it, with which the names of its figures begin.
+    """
+    runs = args.runs or (QUICK_RUNS if args.quick else RUNS)
+    seconds = args.seconds or (QUICK_SECONDS if args.quick else SECONDS)
+    if args.runs is not None and not 1 <= args.runs <= 1000:
+        raise UsageError(f"--runs {args.runs}: must be 1 to 1000")
+    if seconds < SECONDS_LEAST:
+        raise UsageError(f"--seconds {seconds:g}: must be at least {SECONDS_LEAST:g}")
+    old = None if args.compare is None else read_result(args.compare, bench)
+    machine = describe_machine()
+    begin_s = time.monotonic()
+
+    def say(text: str) -> None:
+        print(f"{time.monotonic() - begin_s:5.0f} s  {text}", file=sys.stderr, flush=True)
+
+    rows: list[Row] = [{} for _ in range(runs)]
     with tempfile.TemporaryDirectory(prefix="teleop-bench-") as folder:
-        config = args.config or write_config(
-            Path(folder) / "session.yaml", validate_joints(args.joints)
-        )
-        document = ConfigDocument.read(config)
-        shared = document.load(RunConfig)
-        work = document.save_snapshot(Path(folder) / "run")
-        repeated.warm_up(work)
-        rows = []
-        for k in range(repeated.runs):
-            repeated.say(f"run {k + 1} of {repeated.runs}")
-            rows.append(measure(work, repeated.seconds, shared))
-    return repeated.conclude(metric.collect_metrics(rows))
+        configs = _save_configs(args, Path(folder))
+        say("first run, not counted")  # it fills the compile cache
+        first, _ = next(iter(configs.values()))
+        granted = list(session.run_session(first, WARM_S).summary["slave"]["realtime"])
+        for k, row in enumerate(rows):
+            for prefix, (config, shared) in configs.items():
+                say(f"{prefix}run {k + 1} of {runs}")
+                figures = measure(config, seconds, shared)
+                row |= {f"{prefix}{name}": figure for name, figure in figures.items()}
+    metrics = metric.collect_metrics(rows)
+    print("\n".join(format_description(machine, granted)))
+    print(f"medians of {runs} runs of {seconds:g} s\n")
+    print("\n".join(metric.format_table(metrics)))
+    result = {
+        "bench": bench,
+        "machine": machine | {"realtime": granted},
+        "runs": runs,
+        "seconds": seconds,
+        "figures": metric.to_tree(metrics),
+    }
+    write_summary(args.json, result)
+    if old is not None:
+        print("\n" + "\n".join(metric.format_comparison(metrics, old)))
+    return 0
 
 
-def validate_joints(number: int) -> int:
-    """Return `number` if it is a valid number of joints."""
-    if not 1 <= number <= 8:
-        raise UsageError(f"--joints {number}: must be 1 to 8")
-    return number
+def _save_configs(args: argparse.Namespace, folder: Path) -> dict[str, tuple[Path, RunConfig]]:
+    """Return the config of each session by the prefix of its figures, saved in `folder`."""
+    is_compared = isinstance(args.joints, list)
+    configs = {}
+    for number in sorted(set(args.joints)) if is_compared else [args.joints]:
+        if not 1 <= number <= 8:
+            raise UsageError(f"--joints {number}: must be 1 to 8")
+        given = None if is_compared else args.config
+        document = ConfigDocument.read(given or write_config(folder / f"{number}.yaml", number))
+        config = document.save_snapshot(folder / f"run-{number}"), document.load(RunConfig)
+        configs[f"{number}: " if is_compared else ""] = config
+    return configs
 
 
 def read_result(path: Path, name: str) -> dict[str, Metric]:

@@ -11,10 +11,9 @@ simulated rig.
 """
 
 import argparse
-import tempfile
 from pathlib import Path
 
-from teleop.cli.bench import metric, repeated_runs
+from teleop.cli.bench import repeated_runs
 from teleop.cli.bench.bare_grid import run_idle_loops
 from teleop.cli.bench.latency import measure_baseline_latency
 from teleop.cli.bench.metric import Row
@@ -40,26 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run the command."""
-    numbers = sorted({repeated_runs.validate_joints(number) for number in args.joints})
-    repeated = repeated_runs.RepeatedRuns("scale", args)
-    with tempfile.TemporaryDirectory(prefix="teleop-bench-") as folder:
-        configs = {n: repeated_runs.write_config(Path(folder) / f"{n}.yaml", n) for n in numbers}
-        repeated.warm_up(configs[numbers[0]])
-        rows = []
-        for k in range(repeated.runs):
-            row: Row = {}
-            for n, config in configs.items():
-                repeated.say(f"run {k + 1} of {repeated.runs}: {n} joint{'s' * (n > 1)}")
-                row |= {
-                    f"{n}: {key}": part for key, part in measure(config, repeated.seconds).items()
-                }
-            rows.append(row)
-    return repeated.conclude(metric.collect_metrics(rows))
+    return repeated_runs.repeat_measurement("scale", args, measure)
 
 
-def measure(config: Path, seconds: float) -> Row:
+def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
     """Return the figures of one session and of its idle after it."""
-    shared = RunConfig()
     session = run_session(config, seconds)
     idle = dict(zip(SIDES, run_idle_loops(shared.rate_hz, seconds, shared.realtime), strict=True))
     trips = measure_baseline_latency(seconds, shared)
