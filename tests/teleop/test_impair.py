@@ -16,13 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from studies.testbed.processes import find_free_ports
-from teleop.config.loading import ConfigDocument, load
+from teleop.config.loading import ConfigDocument
 from teleop.errors import TeleopError, UsageError
 from teleop.impair import command, model
 from teleop.impair.config import DirectionConfig, ImpairConfig
 from teleop.impair.direction import ENTRY_BYTES, DelayQueue, Direction
 from teleop.impair.model import DeliveryFlags, StreamState
-from teleop.launch.config import SessionConfig
 from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link, LinkConfig
 from teleop.link.bridge import send_request
@@ -142,15 +141,6 @@ def test_bursts_lose_their_share_and_last_as_long_as_asked_for(length, depth):
         assert np.mean(edges[1::2] - edges[::2]) == pytest.approx(length, rel=0.15)
 
 
-def test_asking_for_more_does_not_change_what_is_lost():
-    alone = passed_on(DirectionConfig(loss=0.1, burst_loss=0.05))[1]
-    busy = DirectionConfig(
-        delay=0.1, jitter=0.05, loss=0.1, burst_loss=0.05, corrupt=0.3, reorder=0.2
-    )
-    gone = DeliveryFlags.LOST | DeliveryFlags.LOST_IN_BURST
-    assert [fate & gone for fate in passed_on(busy)[1]] == [fate & gone for fate in alone]
-
-
 def test_cuts_are_where_the_clock_says_and_go_round():
     config = DirectionConfig(cuts=((0.1, 0.2),), cut_period=0.5)
     _, fates = passed_on(config, 1000)
@@ -200,13 +190,6 @@ def test_reliable_topics_are_late_but_whole_unless_asked_otherwise():
 def test_what_no_network_does_is_refused(field, value):
     with pytest.raises(ValueError, match=f"^{field}: "):
         DirectionConfig(**{field: value})
-
-
-def test_a_session_has_a_proxy_only_where_its_config_says_so():
-    assert load(None, SessionConfig, None).impair is None
-    assert load(None, SessionConfig, None, ["impair={}"]).impair == ImpairConfig()
-    impair = load(None, SessionConfig, None, ["impair.to_slave.loss=0.5"]).impair
-    assert impair.to_slave.loss == 0.5
 
 
 def test_an_option_of_the_command_counts_both_ways():

@@ -94,17 +94,6 @@ def test_an_effect_on_the_command_line_needs_the_option_too(stranger, refused):
     assert effect.name == "stranger:CURVE"
 
 
-def test_a_catalogued_effect_is_never_taken_from_a_package(stranger, monkeypatch):
-    from estimator.effects import CATALOGUE
-    from teleop.data import effect_extensions, model_file
-
-    monkeypatch.setattr(model_file, "is_extension", lambda _: True)
-    monkeypatch.setattr(effect_extensions, "resolve_object", lambda *_: pytest.fail("imported"))
-    tree = {"name": CATALOGUE[0].name, "parameters": {}}
-    with pytest.raises(Exception, match="is missing"):
-        model_file._parse_effect("model.yaml", "effects.0", tree, CATALOGUE)
-
-
 def test_nothing_is_imported_from_the_current_folder(tmp_path):
     """Neither by a name, nor by an entry point that a folder there declares."""
     (tmp_path / "stranger.py").write_text(STRANGER + "\nopen('ran', 'w').close()\n")

@@ -532,19 +532,6 @@ def test_numbers_of_a_later_version_are_read_as_unreliable():
         assert is_switch_closed(number) == is_switch_closed(to_known_state(number))
 
 
-def test_a_step_changes_one_record_and_no_other():
-    sessions = Session.array(3)
-    step_one(sessions, inputs_of([CALM]), 1)
-    assert sessions["state"].tolist() == [State.OFF, State.READY, State.OFF]
-    assert sessions["open_seen"].tolist() == [False, True, False]
-    assert to_outline(Session.new()) == SessionOutline()
-
-
-@jit_compile
-def step_one(sessions, inputs, index):
-    step(sessions[index], inputs[0], DT)
-
-
 def test_a_call_for_a_stop_is_counted_when_it_begins_and_when_it_ends():
     side, counts = Now(), []
     calls = [0, 1, 1, 1, 0, 0, 1, 0]

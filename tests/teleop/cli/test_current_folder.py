@@ -1,14 +1,12 @@
 """No process of ours imports from the folder where it is started: any file may lie there."""
 
 import ast
-import json
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from studies.testbed.processes import OURS, find_free_ports
 from tests.root import ROOT
 
 TELEOP = Path(sys.executable).with_name("teleop")
@@ -40,39 +38,6 @@ def crowded(tmp_path):
     for name in {*PACKAGES, "numpy", "numba", "scipy", "zenoh", "yaml", *sys.stdlib_module_names}:
         (folder / f"{name}.py").write_text("raise SystemExit('imported ' + __file__)\n")
     return folder
-
-
-@pytest.mark.slow
-@pytest.mark.real_time
-def test_a_session_through_its_proxy_imports_nothing_from_the_current_folder(
-    crowded, demo_config, tmp_path
-):
-    master, slave, proxy = (f"127.0.0.1:{port}" for port in find_free_ports(3))
-    words = ["--config", demo_config, "--duration", "2", "--view", "none", "--record", "recordings"]
-    for change in (
-        f"link.master={master}",
-        f"link.slave={slave}",
-        f"impair.endpoint={proxy}",
-        "impair.to_slave.delay=0.02",
-        "impair.to_master.loss=0.1",
-    ):
-        words += ["--set", change]
-    ended = subprocess.run(
-        [TELEOP, "run", *words, "--json", tmp_path / "run.json"],
-        cwd=crowded,
-        env=OURS,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert "imported" not in ended.stdout + ended.stderr
-    assert "command to force" in ended.stdout, ended.stdout + ended.stderr
-    summary = json.loads((tmp_path / "run.json").read_text())
-    assert 20.0 <= summary["master"]["latency_ms"]["p50"] < 25.0
-    state = summary["impair"]["to_master"]["state"]
-    assert state["lost"] == pytest.approx(0.1 * state["came"], rel=0.2)
-    assert state["sent"] == state["came"] - state["lost"]
-    assert f"{state['lost']} lost" in ended.stdout
 
 
 def test_a_pool_of_processes_imports_nothing_from_the_current_folder(crowded, tmp_path):

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from teleop.cli.commands import main
-from teleop.data.mapping_file import TableMapping, parse_column_options
+from teleop.data.mapping_file import parse_column_options
 from teleop.data.measured_table import read_table
 from teleop.data.read_summary import ReadSummary, format_read_summaries, format_read_summary
 
@@ -32,11 +31,3 @@ def test_columns_units_rate_and_what_is_missing_are_said(tmp_path):
         ReadSummary.from_table(plain).to_json()
     )
     assert format_read_summaries([reading] * 9).endswith("\nread as: 3 files more, in the report")
-
-
-def test_a_plain_table_is_read_as_it_is(tmp_path):
-    main(["simulate", "--out", str(tmp_path / "x.csv"), "--duration", "2"])
-    table = read_table(tmp_path / "x.csv", mapping=TableMapping())
-    reading = ReadSummary.from_table(table).to_json()
-    assert format_read_summary(reading).startswith(f"{len(table.time)} samples, ")
-    assert ";" not in format_read_summary(reading)

@@ -11,7 +11,7 @@ from teleop.cli import commands
 from teleop.messages.topics import PROFILE, STATE
 from teleop.recording.reader import open_recording
 from teleop.runtime.status_line import Progress
-from teleop.view import clip, colours, feed
+from teleop.view import clip, colours
 from teleop.view.clip_canvas import THEMES
 from teleop.view.clip_figure import ClipFigure
 from teleop.view.colours import to_rgb
@@ -108,21 +108,6 @@ def test_a_picture_is_of_the_moment_that_is_asked_for(recording, tmp_path, capsy
     assert view(recording, "--out", tmp_path / "peak.png", "--size", "640x360") == 0
     with Image.open(tmp_path / "peak.png") as picture:  # of the highest tension while engaged
         assert has_colour(np.asarray(picture.convert("RGB")), colours.STATES["engaged"])
-
-
-def test_a_recording_is_read_to_the_end_of_the_clip_only(recording, tmp_path, monkeypatch):
-    read_s, read_messages = [], feed.read_messages
-
-    def count(*words):
-        for message in read_messages(*words):
-            read_s.append((message.log_time_ns - T0) * 1e-9)
-            yield message
-
-    monkeypatch.setattr(feed, "read_messages", count)
-    monkeypatch.setattr(clip, "BLOCK_S", 0.1)
-    words = ("--from", 0.2, "--to", 0.4, "--fps", 10, "--size", "480x270")
-    assert view(recording, "--out", tmp_path / "early.gif", *words) == 0
-    assert 0.4 < max(read_s) < 0.7
 
 
 def test_an_animation_has_its_frames_and_its_time(recording, tmp_path):

@@ -17,16 +17,6 @@ from tests.teleop.view.made_session import T0
 # decoding and thinning
 
 
-def test_a_batch_decodes_as_message_by_message(session):
-    batches = decode(session.messages)
-    for topic, rows in batches.items():
-        expected = session.of(topic)
-        assert len(rows) == len(expected)
-        for name in topic.message.schema.dtype.names:
-            values = np.array([getattr(message, name) for message in expected])
-            np.testing.assert_array_equal(rows[name], values, err_msg=f"{topic.name}.{name}")
-
-
 def test_messages_of_another_layout_are_refused(session):
     topic, data = session.messages[0]
     damaged = data[:8] + b"\xff\xff\xff\xff" + data[12:]

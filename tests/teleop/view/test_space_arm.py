@@ -29,7 +29,7 @@ from teleop.view.scene_geometry import ARROW, Shape, build_stage
 from teleop.view.sinks import Sink
 from teleop.view.space_arm import HandAxes, build_space_arm, load_arms, solve_tip_forces
 from tests.root import ROOT
-from tests.teleop.view.made_session import T0, Session, read, save
+from tests.teleop.view.made_session import T0, Session, read
 
 NOTES = ROOT / "configs" / "notes-arm.yaml"
 POSE = (0.3, -0.4, 0.7, 0.2)  # [rad] of the joints of NOTES, its gripper's last
@@ -270,8 +270,3 @@ def test_the_view_shows_what_was_computed_at_the_rate_of_its_pictures(notes, tmp
         high = saved[f"/tip_force/arm_0/{axis}_high"]["Scalars:scalars"]
         np.testing.assert_allclose(high[newest], [forces.high[-1, k]])
     assert not any("joint_" in entity for entity in saved if entity.startswith("/scene"))
-
-
-def test_a_session_without_arms_has_nothing_of_them(tmp_path):
-    saved = save(Session(0.3).messages, tmp_path / "plain.rrd")
-    assert not [entity for entity in saved if "arm" in entity or "tip_force" in entity]
