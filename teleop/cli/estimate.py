@@ -118,7 +118,8 @@ def main(args: argparse.Namespace) -> int:
     joints = joints or read_recorded_joints(args.data)
     k = select_tendon(args.tendon, joints, len(tendons))
     mapping = load_mapping(args)
-    joint = select_joint(args, k, joints)
+    pairs = (tendons for tendons in joints if k in tendons and len(tendons) == 2)
+    joint = next(pairs, (k,)) if args.adapt else (k,)
     words = [*mapping.format_options(), *args.column]
     if len(joint) > 1 and words:
         raise UsageError(
@@ -186,12 +187,6 @@ def main(args: argparse.Namespace) -> int:
     write_summary(args.json, summary)
     print("\n".join(format_report(summary)))
     return 0
-
-
-def select_joint(args: argparse.Namespace, k: int, joints: JointTendons) -> tuple[int, ...]:
-    """Return the tendons that are needed for tendon `k`: both of a pair for `--adapt`."""
-    pairs = (tendons for tendons in joints if k in tendons and len(tendons) == 2)
-    return next(pairs, (k,)) if args.adapt else (k,)
 
 
 def adapt(

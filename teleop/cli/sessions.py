@@ -12,7 +12,7 @@ import argparse
 
 from teleop.config.options import add_options
 from teleop.runtime.process import write_summary
-from teleop.session.running_sessions import RunningSession, list_sessions
+from teleop.session.running_sessions import list_sessions
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,14 +24,11 @@ def main(args: argparse.Namespace) -> int:
     """Print the running sessions; returns the exit code."""
     entries = list_sessions()
     write_summary(args.json, {"sessions": [entry._asdict() for entry in entries]})
-    print("\n".join(map(format_session, entries)) if entries else "no sessions running")
+    for entry in entries:
+        print(
+            f"{entry.session}  process {entry.pid}  since {entry.began}  "
+            f"{', '.join(entry.endpoints)}  {entry.config or 'no config file'}"
+        )
+    if not entries:
+        print("no sessions running")
     return 0
-
-
-def format_session(entry: RunningSession) -> str:
-    """Return a session as one line of text."""
-    config = entry.config or "no config file"
-    return (
-        f"{entry.session}  process {entry.pid}  since {entry.began}  {', '.join(entry.endpoints)}  "
-        f"{config}"
-    )

@@ -287,18 +287,14 @@ def find_tendon_groups(travel: Array) -> list[tuple[list[int], Array]]:
             and len(members) > 1
             and row[members].min() > PATTERN_MIN * row.max()
         ):
+            rows = [k + 1 for k in members] if len(members) > 1 else [i + 1]
             raise ValueError(
-                f"radii: row{_list_rows(members, i)}: there must be one ratio of positive tensions "
-                "in which these tendons balance; give n + 1 tendons for n joints, three a section"
+                f"radii: row{'s' * (len(rows) > 1)} {', '.join(map(str, rows))}: there must be one "
+                "ratio of positive tensions in which these tendons balance; give n + 1 tendons for "
+                "n joints, three a section"
             )
         groups.append((members.tolist(), row[members] / row[members].min()))
     return groups
-
-
-def _list_rows(members: NDArray[np.intp], tendon: int) -> str:
-    """Return the rows that are not in balance, as in a config, for a message."""
-    rows = [str(k + 1) for k in (members if len(members) > 1 else [tendon])]
-    return f"s {', '.join(rows)}" if len(rows) > 1 else f" {rows[0]}"
 
 
 def find_guides(travel: Array, partners: Sequence[int]) -> NDArray[np.bool_]:

@@ -204,14 +204,16 @@ def run_experiment(
             response = observer(trial)
             seconds = time.monotonic() - asked_s
             correct = sequence.judge(response)
+            used = stage.session
+            recording = used.recording if isinstance(used, Session) else None
             values = {
-                "session": stage.session_name,
+                "session": used.name if used else "",
                 "procedure": procedure,
                 "response": response,
                 "correct": correct,
                 "response_time_s": round(seconds, 4),
                 "attempts": attempts,
-                "recording": stage.recording_name,
+                "recording": recording.name if recording else "",
                 "begin_stamp_ns": begin_ns,
                 "time": datetime.now().astimezone().isoformat(timespec="milliseconds"),
             }
@@ -271,17 +273,6 @@ class _Stage(AbstractContextManager["_Stage"]):
     def __exit__(self, *exception: object) -> None:
         if self._own is not None:
             self._own.end()
-
-    @property
-    def session_name(self) -> str:
-        """Name of the session, or empty."""
-        return self.session.name if self.session else ""
-
-    @property
-    def recording_name(self) -> str:
-        """Name of the file of the recording, or empty."""
-        path = self.session.recording if isinstance(self.session, Session) else None
-        return path.name if path else ""
 
     @property
     def is_hand_scripted(self) -> bool:

@@ -345,7 +345,12 @@ def read_row_parts(
     def parse_taken() -> dict[str, TopicRows]:
         parts = {}
         for topic, (places, pieces) in taken.items():
-            rows = _parse_rows(pieces, _build_row_dtype(scan, ids[topic], topic), scan.path, topic)
+            dtype = _build_row_dtype(scan, ids[topic], topic)
+            if any(len(piece) != dtype.itemsize for piece in pieces):
+                raise RecordingError(
+                    f"{scan.path}: a {topic} message does not have the size of its definition"
+                )
+            rows = np.frombuffer(b"".join(pieces), dtype)
             names = topics[topic]
             if names is not None:
                 rows = _select_columns(rows, names, scan.path, topic)
@@ -399,14 +404,6 @@ def _build_row_dtype(scan: Scan, ids: set[int], topic: str) -> np.dtype[np.void]
             "itemsize": 16 + message.itemsize,
         }
     )
-
-
-def _parse_rows(
-    pieces: list[bytes], dtype: np.dtype[np.void], path: Path, topic: str
-) -> NDArray[np.void]:
-    if any(len(piece) != dtype.itemsize for piece in pieces):
-        raise RecordingError(f"{path}: a {topic} message does not have the size of its definition")
-    return np.frombuffer(b"".join(pieces), dtype)
 
 
 def _select_columns(

@@ -156,7 +156,9 @@ def _issue_certificates(args: argparse.Namespace) -> int:
     existing = [path for path in paths.values() if path.exists()]
     if existing and not args.force:
         raise UsageError(f"{existing[0]}: exists; --force replaces it")
-    _require_same_authority(args.out, authority)
+    kept = args.out / AUTHORITY
+    if kept.exists() and load_certificate(kept) != authority.certificate:
+        raise UsageError(f"{args.out}: has keys of another authority; choose another --out")
     _require_shorter_validity(args.days, authority)
     authority.publish(args.out)
     for role, path in paths.items():
@@ -168,12 +170,6 @@ def _issue_certificates(args: argparse.Namespace) -> int:
         write_file(path, certificate.public_bytes(Encoding.PEM), 0o644)
         print(f"{path}: {_format_certificate(certificate)}")
     return 0
-
-
-def _require_same_authority(folder: Path, authority: Authority) -> None:
-    path = folder / AUTHORITY
-    if path.exists() and load_certificate(path) != authority.certificate:
-        raise UsageError(f"{folder}: has keys of another authority; choose another --out")
 
 
 def _require_shorter_validity(days: float, authority: Authority) -> None:

@@ -34,7 +34,12 @@ def choose_place(document: ConfigDocument, name: str | None) -> ConfigDocument:
         return document
     chosen, stated = {}, document.tree
     if "session" in stated:
-        _require_new_session(stated["session"])
+        for entry in list_sessions():
+            if entry.session == stated["session"]:
+                raise PeerError(
+                    f"session {entry.session!r} is running already (process {entry.pid}); stop "
+                    "that one first, or choose another name with --session"
+                )
     else:
         base = document.path.stem if document.path else _DEFAULT_NAME
         chosen["session"] = create_session_name(base)
@@ -96,12 +101,3 @@ def make_paths_absolute(config: Any) -> Any:
         elif dataclasses.is_dataclass(value):
             changes[field.name] = make_paths_absolute(value)
     return dataclasses.replace(config, **changes)
-
-
-def _require_new_session(session: object) -> None:
-    for entry in list_sessions():
-        if entry.session == session:
-            raise PeerError(
-                f"session {session!r} is running already (process {entry.pid}); stop that one "
-                "first, or choose another name with --session"
-            )

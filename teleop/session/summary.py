@@ -100,8 +100,10 @@ class LoopSummary:
     def from_json(cls, content: Mapping[str, Any]) -> "LoopSummary":
         """Return the summary that `to_json` has made plain."""
         values = dict(content)
-        has_rig = "rig" in values
-        rig = _pop_rig(values) if has_rig else None
+        rig = None
+        if "rig" in values:
+            friction = tuple(values.pop("friction"))
+            rig = RigSummary(values.pop("force_error"), values.pop("rig"), friction)
         link = dict(values["link"])
         for name in ("round_trip_ms", "jitter_ms"):
             link[name] = Percentiles(**link[name])
@@ -122,11 +124,6 @@ class LoopSummary:
             "rig": rig,
             "realtime": tuple(values["realtime"]),
         })  # fmt: skip
-
-
-def _pop_rig(values: dict[str, Any]) -> RigSummary:
-    friction = tuple(values.pop("friction"))
-    return RigSummary(values.pop("force_error"), values.pop("rig"), friction)
 
 
 def _to_plain(value: Any) -> Any:

@@ -164,7 +164,10 @@ def main(args: argparse.Namespace) -> int:
     name = Path(args.file).stem if args.file else run.session
     with divert_stderr(find_log_path(run.session)) as log:
         if saved:
-            return _show_saved_file(Path(args.file), mode, config, stop)
+            with Sink(mode, config, name, None, live=False, saved=Path(args.file)) as sink:
+                _print_lines(sink)
+                _wait_for_viewer(sink, stop)
+            return 0
         summary: dict[str, Any] = {
             "session": run.session,
             "view": mode,
@@ -248,14 +251,6 @@ def require_viewer(file: str, mode: ViewMode, out: Path | None) -> None:
     else:
         if not recordings:
             raise UsageError(f"{file}: holds no recording")
-
-
-def _show_saved_file(path: Path, mode: ViewMode, config: ViewConfig, stop: StopCondition) -> int:
-    """Show a Rerun file until the viewer is closed."""
-    with Sink(mode, config, path.stem, None, live=False, saved=path) as sink:
-        _print_lines(sink)
-        _wait_for_viewer(sink, stop)
-    return 0
 
 
 def _print_lines(sink: Sink) -> None:

@@ -232,13 +232,11 @@ class Page:
         self._ended = ended
         self._blocks.close()
         end = time.monotonic() + _GOODBYE_S
-        while self._has_listener() and time.monotonic() < end:
+        while (now := time.monotonic()) < end and any(
+            asked > now - _GOODBYE_S for asked in list(self._waiting.values())
+        ):
             time.sleep(0.02)
         self._server.close()
-
-    def _has_listener(self) -> bool:
-        since = time.monotonic() - _GOODBYE_S
-        return any(asked > since for asked in list(self._waiting.values()))
 
     def get_delay_s(self) -> float:
         """Return how far [s] the slowest of the open pages is behind what was sent."""

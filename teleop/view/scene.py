@@ -23,7 +23,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 import rerun as rr
 
-from estimator.array_types import Array
 from teleop.messages.messages import PHASE_NAMES, STOP_ACTIONS, decode_text
 from teleop.messages.topics import (
     ANSWER,
@@ -59,16 +58,11 @@ _HALF_WIDTH = 0.035  # of its height
 _TITLE_HEIGHT = 1.2  # likewise
 
 
-def draw_stage(sender: Sender, config: ViewConfig, stage: Stage) -> None:
-    """Fit the scene into the view, with the colour scale beside it."""
-    scale = 1.0 / stage.span
+def draw_stage(sender: Sender, stage: Stage, top: float) -> None:
+    """Fit the scene into the view, with the colours from 0 to `top` [N] and round values beside."""
+    scale, foot, up = 1.0 / stage.span, stage.legend, stage.legend_up
     fit = rr.Transform3D(translation=-scale * stage.centre, scale=scale)
     sender.send_static("scene", fit)
-    _draw_scale(sender, stage.legend, stage.legend_up, config.tension_scale_N)
-
-
-def _draw_scale(sender: Sender, foot: Array, up: Array, top: float) -> None:
-    """Draw the colours from 0 to `top` [N] along `up` from `foot`, with round values beside."""
     tall = float(np.linalg.norm(up))
     levels = np.linspace(0.0, 1.0, _STEPS)
     half = np.array([_HALF_WIDTH * tall, 0.0, 0.0])
@@ -190,7 +184,9 @@ class LoopView:
             return
         if self._last is None:
             self._plane.draw_axes(self._sender, "loop")
-            self._draw_legend()
+            places = [(1.4, -1.0 + 0.16 * k) for k in range(len(PHASES))]
+            names, colours = list(PHASE_NAMES), list(PHASES)
+            self._sender.send_words("loop/names", rr.Points2D, places, names, colours)
         all_rows = rows if self._last is None else np.concatenate([self._last, rows])
         self._last = rows[-1:]
         before, after = all_rows[:-1], all_rows[1:]
@@ -214,12 +210,6 @@ class LoopView:
             )
             path = f"loop/tendon_{tendon}/curve"
             self._sender.send_columns_at(path, after["stamp_ns"][is_shown], pieces)
-
-    def _draw_legend(self) -> None:
-        """Name the phases, each in its colour."""
-        heights = -1.0 + 0.16 * np.arange(len(PHASES))
-        at = np.stack([np.full(len(PHASES), 1.4), heights], axis=1)
-        self._sender.send_words("loop/names", rr.Points2D, at, list(PHASE_NAMES), list(PHASES))
 
 
 class Scene(BatchDisplay):
@@ -349,15 +339,10 @@ class Scene(BatchDisplay):
             return 0
         self._sender.forget_styles()
         if self._spatial:
-            self._place()
+            for part in (self._tubes, self._levers, self._arms):
+                part.place()
+            if self._sheaths.stage is not None:
+                draw_stage(self._sender, self._sheaths.stage, self._config.tension_scale_N)
         joints = {joint: self._sheaths.list_tendons(joint) for joint in self._sheaths.joints}
         self._lay_out(joints)
         return len(joints)
-
-    def _place(self) -> None:
-        """Draw what stands still in the scene."""
-        self._tubes.place()
-        self._levers.place()
-        self._arms.place()
-        if self._sheaths.stage is not None:
-            draw_stage(self._sender, self._config, self._sheaths.stage)

@@ -125,14 +125,6 @@ FORMULAS = {
 """What each effect adds, by its label; others are given by their equation in words."""
 
 
-def draw_formula(formula: str) -> Figure:
-    """Return a formula as a figure, which its bounding box is to be cut to."""
-    figure = Figure(figsize=(6.0, 0.6))
-    figure.set_layout_engine("none")
-    figure.text(0.0, 0.4, f"${formula}$", fontsize=14)
-    return figure
-
-
 def _format_equation_text(effect: Effect) -> str:
     words = effect.equation
     for sign in "\\_^{}$%#&":
@@ -269,7 +261,10 @@ def _add_law(page: Page, diagnosis: Diagnosis, folder: Path) -> None:
     effects = [effect for effect, _ in diagnosis.extended.model.effects]
     lines += [FORMULAS.get(effect.label) or _format_equation_text(effect) for effect in effects]
     for k, line in enumerate(lines, start=1):
-        drawing = to_svg(draw_formula(line), cut=True)
+        figure = Figure(figsize=(6.0, 0.6))
+        figure.set_layout_engine("none")
+        figure.text(0.0, 0.4, f"${line}$", fontsize=14)
+        drawing = to_svg(figure, cut=True)
         write_text_file(folder / f"equation-{k}.svg", drawing, "an equation")
         page.add_drawing(drawing, f"({k})")
     page.add_text(SYMBOLS)
