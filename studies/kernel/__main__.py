@@ -87,7 +87,7 @@ def follow(machines: Sequence[Machine]) -> Iterator[dict[str, Any]]:
     while left:
         for k in sorted(left):
             runs = machines[k].runs  # before its news: what it said at its end is not missed
-            for line in machines[k].news():
+            for line in machines[k].take_news():
                 heard[k] = time.monotonic(), machines[k].worked_s
                 last[k] = f"{line.get('device', '')} {line['check']}".strip()
                 yield line

@@ -43,8 +43,10 @@ _ERROR_FRAME, _BUS_OFF = 1 << 29, 0x40
 
 def create_interface(name: str) -> None:
     """Create a virtual CAN interface and set it up; `OSError`."""
-    kind = _attribute(_LINK_INFO, _attribute(_KIND, b"vcan\0"))
-    body = struct.pack("=BxHiII", 0, 0, 0, 0, 0) + _attribute(_NAME, name.encode() + b"\0") + kind
+    kind = _pack_attribute(_LINK_INFO, _pack_attribute(_KIND, b"vcan\0"))
+    body = (
+        struct.pack("=BxHiII", 0, 0, 0, 0, 0) + _pack_attribute(_NAME, name.encode() + b"\0") + kind
+    )
     flags = _REQUEST | _ACK | _CREATE | _EXCLUSIVE
     with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as link:
         link.send(struct.pack("=IHHII", 16 + len(body), _NEW_LINK, flags, 1, 0) + body)
@@ -67,7 +69,7 @@ def send_bus_off(name: str) -> None:
         can.send(struct.pack("=IB3x8x", _ERROR_FRAME | _BUS_OFF, 8))
 
 
-def _attribute(number: int, value: bytes) -> bytes:
+def _pack_attribute(number: int, value: bytes) -> bytes:
     padding = bytes(-len(value) % 4)
     return struct.pack("=HH", 4 + len(value), number) + value + padding
 
@@ -143,23 +145,23 @@ class Bench:
         self.model = model
         self.numbers = tuple(range(1, drives + 1))
 
-    def config(self, error_control: str = "heartbeat") -> Cia402Config:
+    def build_config(self, error_control: str = "heartbeat") -> Cia402Config:
         bus = BusConfig(interface="socketcan", channel=CHANNEL)
         return Cia402Config(bus=bus, rate_hz=RATE_HZ, timeout=0.2, error_control=error_control)
 
-    def opened(self, error_control: str = "heartbeat") -> DriverProcess:
-        return DriverProcess(self.config(error_control), Channels(self.numbers, self.numbers))
+    def open_driver(self, error_control: str = "heartbeat") -> DriverProcess:
+        return DriverProcess(self.build_config(error_control), Channels(self.numbers, self.numbers))
 
     @contextmanager
-    def driving(self, error_control: str = "heartbeat") -> Iterator[tuple]:
+    def drive(self, error_control: str = "heartbeat") -> Iterator[tuple]:
         """Open the drives and engage them; give the driver and the target [counts]."""
-        connection = self.opened(error_control)
+        connection = self.open_driver(error_control)
         try:
             yield connection, self.engage(connection)
         finally:
             connection.close()
 
-    def position(self, connection: DriverProcess):
+    def read_position(self, connection: DriverProcess):
         """Return where the motors are [counts], as the driver says."""
         until_s = time.monotonic() + WAIT_S
         while time.monotonic() < until_s:
@@ -170,8 +172,8 @@ class Bench:
 
     def engage(self, connection: DriverProcess):
         """Write where the motors are until all follow; return the target [counts]."""
-        target = self.position(connection)
-        self.until(connection, self.all_move, "the drives are not enabled", target)
+        target = self.read_position(connection)
+        self.wait_until(connection, self.all_move, "the drives are not enabled", target)
         self.hold(connection, target, 0.1)  # until the driver knows it, too
         return target
 
@@ -184,7 +186,7 @@ class Bench:
             time.sleep(0.005)
         return count
 
-    def until(self, connection, condition, otherwise: str, target=None) -> None:
+    def wait_until(self, connection, condition, otherwise: str, target=None) -> None:
         until_s = time.monotonic() + WAIT_S
         while not condition():
             if time.monotonic() > until_s:
@@ -198,15 +200,17 @@ class Bench:
     def all_move(self) -> bool:
         return all(self.model.order()["moving"])
 
-    def stopped_after(self, since_s: float) -> str:
+    def measure_stop(self, since_s: float) -> str:
         """Wait until no drive follows; return the time that took, which must be short."""
-        self.until(None, lambda: not any(self.model.order()["moving"]), "the drives do not stop")
+        self.wait_until(
+            None, lambda: not any(self.model.order()["moving"]), "the drives do not stop"
+        )
         took_s = self.model.order()["stopped_s"] - since_s
         if not 0.0 <= took_s <= STOP_MAX_S:
             raise WrongError(f"stopped only after {took_s * 1e3:.0f} ms")
         return f"{took_s * 1e3:.0f} ms"
 
-    def fails(self, connection: DriverProcess, target, *words: str) -> str:
+    def await_fault(self, connection: DriverProcess, target, *words: str) -> str:
         """Write a target until the driver gives up; return its reason, with one of the words."""
         until_s = time.monotonic() + WAIT_S
         try:
@@ -220,13 +224,13 @@ class Bench:
             raise
         raise WrongError("no fault was told")
 
-    def engages_anew(self) -> None:
+    def engage_anew(self) -> None:
         """Open it again: nothing moves by itself, then everything follows."""
-        connection = self.opened()
+        connection = self.open_driver()
         try:
             until_s = time.monotonic() + STILL_S
             while time.monotonic() < until_s:
-                self.position(connection)
+                self.read_position(connection)
                 if any(self.model.order()["moving"]):
                     raise WrongError("a drive moves by itself")
             self.engage(connection)
@@ -236,11 +240,11 @@ class Bench:
 
 def follow(bench: Bench) -> Figures:
     """Drives follow from where they are; every reading comes."""
-    with bench.driving() as (connection, start):
+    with bench.drive() as (connection, start):
         goal = start + STEP
-        bench.until(
+        bench.wait_until(
             connection,
-            lambda: np.allclose(bench.position(connection), goal, atol=2.0),
+            lambda: np.allclose(bench.read_position(connection), goal, atol=2.0),
             "the drives do not arrive",
             goal,
         )
@@ -254,21 +258,21 @@ def follow(bench: Bench) -> Figures:
 
 def emergency_stop(bench: Bench) -> Figures:
     """Quick stop, and enabled again by the next target."""
-    with bench.driving() as (connection, target):
+    with bench.drive() as (connection, target):
         began_s = time.monotonic()
         connection.stop()
-        took = bench.stopped_after(began_s)
-        bench.until(connection, bench.all_move, "the drives are not enabled again", target)
+        took = bench.measure_stop(began_s)
+        bench.wait_until(connection, bench.all_move, "the drives are not enabled again", target)
     return {"stopped after": took}
 
 
 def killed(bench: Bench, error_control: str = "heartbeat") -> Figures:
     """Kill the driver: the drives miss our heartbeat and stop."""
-    with bench.driving(error_control) as (connection, _):
+    with bench.drive(error_control) as (connection, _):
         killed_s = time.monotonic()
         os.kill(connection.pid, signal.SIGKILL)
-        took = bench.stopped_after(killed_s)
-    bench.engages_anew()
+        took = bench.measure_stop(killed_s)
+    bench.engage_anew()
     return {"stopped after": took}
 
 
@@ -279,50 +283,50 @@ def killed_while_guarded(bench: Bench) -> Figures:
 
 def fault(bench: Bench) -> Figures:
     """A drive's fault is named, refused at the next start, and reset by the operator alone."""
-    with bench.driving() as (connection, target):
+    with bench.drive() as (connection, target):
         bench.model.order("fault")
-        said = bench.fails(connection, target, "following error")
+        said = bench.await_fault(connection, target, "following error")
     try:
-        bench.opened().close()
+        bench.open_driver().close()
     except DriverFault as error:
         if "teleop rig reset" not in str(error):
             raise
     else:
         raise WrongError("a drive with a fault was not refused")
-    lines = list(driver_table.reset(bench.config(), bench.numbers))
-    bench.engages_anew()
+    lines = list(driver_table.reset(bench.build_config(), bench.numbers))
+    bench.engage_anew()
     return {"fault": said, "reset": lines[0]}
 
 
 def silent(bench: Bench) -> Figures:
     """Drives without power on the bus side are named."""
     try:
-        with bench.driving() as (connection, target):
+        with bench.drive() as (connection, target):
             bench.model.order("unplug")
-            said = bench.fails(connection, target, "silent")
+            said = bench.await_fault(connection, target, "silent")
     finally:
         bench.model.order("plug")
-    bench.engages_anew()
+    bench.engage_anew()
     return {"fault": said}
 
 
 def bus_off(bench: Bench) -> Figures:
     """The controller's error frame is a fault with its reason."""
-    with bench.driving() as (connection, target):
+    with bench.drive() as (connection, target):
         send_bus_off(CHANNEL)
-        said = bench.fails(connection, target, "bus off")
-    bench.engages_anew()
+        said = bench.await_fault(connection, target, "bus off")
+    bench.engage_anew()
     return {"fault": said}
 
 
 def interface_down(bench: Bench) -> Figures:
     """An interface that is set down is a fault, and the drives stop by themselves."""
     try:
-        with bench.driving() as (connection, target):
+        with bench.drive() as (connection, target):
             began_s = time.monotonic()
             switch_interface(CHANNEL, up=False)
-            said = bench.fails(connection, target, "interface is down", "silent")
-            took = bench.stopped_after(began_s)
+            said = bench.await_fault(connection, target, "interface is down", "silent")
+            took = bench.measure_stop(began_s)
     finally:
         switch_interface(CHANNEL, up=True)
     return {"fault": said, "stopped after": took}

@@ -31,13 +31,13 @@ class Case(NamedTuple):
     centres: bool = False  # by itself, from power on until the driver begins
     counts: int = 32767  # of an input from the middle to the end; a decoded share is that exact
 
-    def device(self) -> VirtualDevice:
+    def build_device(self) -> VirtualDevice:
         """Return it as it is at power on."""
         device = DEVICES[self.name]()
         device.interval = REPORT_S
         return device
 
-    def hand(self, n: int) -> Shares:
+    def place_hand(self, n: int) -> Shares:
         """Return where the hand has moved the axes at report number `n`."""
         return _build_ways(self.inputs, self.one_sided)[n % _WAY]
 

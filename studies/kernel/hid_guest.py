@@ -100,57 +100,57 @@ def found(case: Case, rig: Plugged) -> Figures:
     bound = Path(f"/sys/class/hidraw/{Path(chosen.item.path).name}/device/driver").resolve().name
     if bound != case.kernel:
         raise WrongError(f"the kernel bound it to {bound}, not {case.kernel}")
-    return {"driver": chosen.kind, "kernel": bound, "listed after": _ms(took)}
+    return {"driver": chosen.kind, "kernel": bound, "listed after": _format_ms(took)}
 
 
 def descriptor(case: Case, rig: Plugged) -> Figures:
     """The node gives the descriptor that the device has."""
-    with _node(case) as node:
+    with _open_node(case) as node:
         data = node.read_descriptor()
-    if data != case.device().descriptor:
+    if data != case.build_device().descriptor:
         raise WrongError("another descriptor arrived than the device has")
     return {"bytes": str(len(data))}
 
 
 def beside_kernel(case: Case, rig: Plugged) -> Figures:
     """What the kernel's hid-pidff writes at plug-in leaves no force, and us a device that works."""
-    with _node(case) as node:
+    with _open_node(case) as node:
         play(node, case)
-    if not case.centres and any(any(push.force) for push in rig.pushes()):
+    if not case.centres and any(any(push.force) for push in rig.list_pushes()):
         raise WrongError("it pushed before anyone asked for a force")
     return {"hid-pidff": "played"}
 
 
 def centring(case: Case, rig: Plugged) -> Figures:
     """Its own spring ends when it is opened, and stays away: a moving hand feels nothing."""
-    _wait(lambda: any(rig.pushes()[-1].force), "it does not centre by itself")
+    _wait(lambda: any(rig.list_pushes()[-1].force), "it does not centre by itself")
     for start in ("first", "second"):
-        with _opened(case) as hid:
+        with _open_device(case) as hid:
             opened = time.monotonic()
             _read(hid, 10 * _SETTLE_S)
         time.sleep(_SETTLE_S)
-        if any(any(push.force) for push in rig.pushes() if push.time > opened):
+        if any(any(push.force) for push in rig.list_pushes() if push.time > opened):
             raise WrongError(f"it pushed by itself after its {start} start")
     return {"moving hand": "feels nothing"}
 
 
 def actuators(case: Case, rig: Plugged) -> Figures:
     """Power that goes is a fault with that reason; back, it is read again and pushes nothing."""
-    with _opened(case) as hid:
-        rig.power(on=True)  # reported: what was never met does not count
+    with _open_device(case) as hid:
+        rig.switch_power(on=True)  # reported: what was never met does not count
         _read(hid, 0.2, case)
-        rig.power(on=False)
-        _until(hid, fails=True, saying="no power")
-        rig.power(on=True)
+        rig.switch_power(on=False)
+        _read_until(hid, fails=True, saying="no power")
+        rig.switch_power(on=True)
         on = time.monotonic()
-        back = _until(hid, fails=False) - on
+        back = _read_until(hid, fails=False) - on
         time.sleep(_SETTLE_S + POST_TIMEOUT_S)
-        if any(rig.pushes()[-1].force):
+        if any(rig.list_pushes()[-1].force):
             raise WrongError("it pushed by itself when its power was back")
-        _until(hid, fails=False)  # what came in while nobody read is lost
+        _read_until(hid, fails=False)  # what came in while nobody read is lost
         _read(hid, _SETTLE_S)
-    _silent(rig)
-    return {"fault": "no power", "back after": _ms(back)}
+    _demand_silence(rig)
+    return {"fault": "no power", "back after": _format_ms(back)}
 
 
 def signs(case: Case, rig: Plugged) -> Figures:
@@ -163,7 +163,7 @@ def signs(case: Case, rig: Plugged) -> Figures:
             force = [0.0] * len(case.forces)
             force[axis] = -_PROBE_SHARE
             _hold(line, tuple(force))
-            forces = rig.pushes()[-1].force
+            forces = rig.list_pushes()[-1].force
             seen.append(-round(forces[axis] / abs(forces[axis])) if forces[axis] else 0)
             others = [abs(share) for k, share in enumerate(forces) if k != axis]
             if max(others, default=0.0) > 0.01 * _PROBE_SHARE:
@@ -174,7 +174,7 @@ def signs(case: Case, rig: Plugged) -> Figures:
     if tuple(seen) != case.signs:
         raise WrongError(f"signs {seen}, but the firmware has {case.signs}")
     save(None, known)
-    _silent(rig)
+    _demand_silence(rig)
     return {name: f"{sign:+d}" for name, sign in zip(case.forces, seen, strict=True)}
 
 
@@ -182,7 +182,7 @@ def loop(case: Case, rig: Plugged) -> Figures:
     """2000 reports read and decoded, 2000 forces encoded and written, in one loop at 1 kHz."""
     decoded: list[Shares] = []
     sent: list[Sent] = []
-    with _node(case) as node:
+    with _open_node(case) as node:
         driver = DRIVERS[case.driver].make(
             _search(case).item, node.read_descriptor(), PidConfig(), None
         )
@@ -191,7 +191,7 @@ def loop(case: Case, rig: Plugged) -> Figures:
         controls = Controls((0.0,) * len(driver.axes), 0, 0)
         written = connection.WriterState()
         work: list[float] = []
-        before = len(rig.pushes())
+        before = len(rig.list_pushes())
         grid = Grid(RATE_HZ, stop=lambda: len(decoded) >= REPORTS <= len(sent))
         with pause_garbage_collection():
             node.drain()
@@ -207,7 +207,7 @@ def loop(case: Case, rig: Plugged) -> Figures:
                     node.write(report)
                 work.append(time.monotonic() - now)
         time.sleep(_SETTLE_S)
-        pushes = rig.pushes()[before:]
+        pushes = rig.list_pushes()[before:]
         for report in driver.silence():
             node.write(report)
     lost = count_lost_reports(case, decoded)
@@ -220,7 +220,7 @@ def loop(case: Case, rig: Plugged) -> Figures:
     _demand(rate >= RATE_MIN_HZ, figures, f"below {RATE_MIN_HZ:.0f} Hz")
     _demand(missed == 0, figures, "forces that the device never made")
     _demand(lost == 0, figures, "reports that never arrived")
-    _silent(rig)
+    _demand_silence(rig)
     return figures
 
 
@@ -228,17 +228,17 @@ def device(case: Case, rig: Plugged) -> Figures:
     """The same through `HidDevice`: in metres and newtons, with a thread of its own that writes."""
     sent: list[Sent] = []
     read: list[Shares] = []
-    with _opened(case) as hid:
-        before = len(rig.pushes())
+    with _open_device(case) as hid:
+        before = len(rig.list_pushes())
         grid = Grid(RATE_HZ, stop=lambda: len(sent) >= READS_BY_DEVICE)
         with pause_garbage_collection():
             for tick in grid:
                 hand = hid.read(tick.index / RATE_HZ)
                 read.append(tuple(position / TRAVEL_M for position in hand.position))
                 sent.append(Sent(time.monotonic(), case.force(tick.index)))
-                hid.write(_newtons(case, sent[-1].force))
+                hid.write(_to_newtons(case, sent[-1].force))
         time.sleep(2 * POST_TIMEOUT_S)
-        pushes = rig.pushes()[before:]
+        pushes = rig.list_pushes()[before:]
     count_lost_reports(case, [now for last, now in pairwise(read) if now != last])
     figures = {"rate": f"{grid.stats.rate_hz:.0f} Hz"}
     if case.forces:
@@ -249,30 +249,30 @@ def device(case: Case, rig: Plugged) -> Figures:
         _demand(overtaken < 0.02, figures, "too many forces never reached the device")
         _demand(not any(pushes[-1].force), figures, "nobody wrote any more, and it still pushed")
     _demand(grid.stats.rate_hz >= RATE_MIN_HZ, figures, f"below {RATE_MIN_HZ:.0f} Hz")
-    _silent(rig)
+    _demand_silence(rig)
     return figures
 
 
 def replug(case: Case, rig: Plugged) -> Figures:
     """Pulled out, it is missed at once; put in again, it is read again, and pushes nothing."""
-    with _opened(case) as hid:
+    with _open_device(case) as hid:
         _read(hid, 0.1, case)
         out = rig.unplug()
-        missed = _until(hid, fails=True) - out
+        missed = _read_until(hid, fails=True) - out
         back = rig.plug()
-        again = _until(hid, fails=False) - back
+        again = _read_until(hid, fails=False) - back
         opened = time.monotonic()
         time.sleep(_SETTLE_S)
-        pushes = [push for push in rig.pushes() if push.time > opened or not case.centres]
-        if any(any(push.force) for push in pushes) or any(rig.pushes()[-1].force):
+        pushes = [push for push in rig.list_pushes() if push.time > opened or not case.centres]
+        if any(any(push.force) for push in pushes) or any(rig.list_pushes()[-1].force):
             raise WrongError("it pushed by itself when it was back")
-        figures = {"missed after": _ms(missed), "back after": _ms(again)}
+        figures = {"missed after": _format_ms(missed), "back after": _format_ms(again)}
         if case.forces:
-            hid.write(_newtons(case, case.force(1)))
+            hid.write(_to_newtons(case, case.force(1)))
             time.sleep(_SETTLE_S / 2)
-            _demand(any(rig.pushes()[-1].force), figures, "no force after it was back")
+            _demand(any(rig.list_pushes()[-1].force), figures, "no force after it was back")
     _demand(missed < UNPLUGGED_MAX_S, figures, "unplugging was seen too late")
-    _silent(rig)
+    _demand_silence(rig)
     return figures
 
 
@@ -280,23 +280,23 @@ def killed(case: Case, rig: Plugged) -> Figures:
     """The process that pushes is killed: the force ends by itself, by the device's own clock."""
     child = multiprocessing.get_context("fork").Process(target=_push_for_ever, args=(case,))
     child.start()
-    _wait(lambda: any(rig.pushes()[-1].force), "no force came")
+    _wait(lambda: any(rig.list_pushes()[-1].force), "no force came")
     time.sleep(FORGET_MAX_S)
-    if not any(rig.pushes()[-1].force):
+    if not any(rig.list_pushes()[-1].force):
         raise WrongError("the force ended while the process lived")
     os.kill(child.pid or 0, signal.SIGKILL)
     dead = time.monotonic()
     child.join()
     time.sleep(FORGET_MAX_S + _SETTLE_S)
-    last = rig.pushes()[-1]
+    last = rig.list_pushes()[-1]
     if any(last.force):
         raise WrongError(f"it still pushes with {last.force}")
-    figures = {"force gone after": _ms(last.time - dead)}
+    figures = {"force gone after": _format_ms(last.time - dead)}
     _demand(last.time - dead <= FORGET_MAX_S, figures, "too late")
     return figures
 
 
-def checks_for(case: Case) -> tuple[Check, ...]:
+def list_checks(case: Case) -> tuple[Check, ...]:
     """Return what is tried on a device, in order."""
     if not case.forces:
         return found, descriptor, loop, device, replug
@@ -309,8 +309,8 @@ def checks_for(case: Case) -> tuple[Check, ...]:
 
 
 def _push_for_ever(case: Case) -> None:
-    force = _newtons(case, case.force(1))
-    with _opened(case) as hid:
+    force = _to_newtons(case, case.force(1))
+    with _open_device(case) as hid:
         for tick in Grid(RATE_HZ, stop=lambda: False):
             hid.read(tick.index / RATE_HZ)
             hid.write(force)
@@ -318,7 +318,7 @@ def _push_for_ever(case: Case) -> None:
 
 def _search(case: Case) -> FoundDevice:
     """Return the device, once the kernel has it."""
-    model = f"{case.device().vendor:04x}:{case.device().product:04x}"
+    model = f"{case.build_device().vendor:04x}:{case.build_device().product:04x}"
     end = time.monotonic() + _APPEAR_S
     while True:
         try:
@@ -330,13 +330,13 @@ def _search(case: Case) -> FoundDevice:
 
 
 @contextmanager
-def _node(case: Case) -> Iterator[Node]:
+def _open_node(case: Case) -> Iterator[Node]:
     chosen = _search(case)
     with closing(Node(chosen.item.path, str(chosen.item))) as node:
         yield node
 
 
-def _opened(case: Case) -> closing[HidDevice]:
+def _open_device(case: Case) -> closing[HidDevice]:
     axes = tuple(
         AxisConfig(name=name, travel=TRAVEL_M, force=FULL_N if name in case.forces else 0.0)
         for name in case.inputs
@@ -345,7 +345,7 @@ def _opened(case: Case) -> closing[HidDevice]:
     return closing(HidDevice(config, say=lambda _line: None))
 
 
-def _newtons(case: Case, force: Shares) -> Shares:
+def _to_newtons(case: Case, force: Shares) -> Shares:
     """Return shares for the axes that push as newtons for all."""
     known = dict(zip(case.forces, force, strict=True))
     return tuple(FULL_N * known.get(name, 0.0) for name in case.inputs)
@@ -364,10 +364,10 @@ def _read(hid: HidDevice, span: float, pushed: Case | None = None) -> None:
     for tick in Grid(RATE_HZ, stop=lambda: time.monotonic() > end):
         hid.read(tick.index / RATE_HZ)
         if pushed is not None:
-            hid.write(_newtons(pushed, pushed.force(tick.index)))
+            hid.write(_to_newtons(pushed, pushed.force(tick.index)))
 
 
-def _until(hid: HidDevice, *, fails: bool, saying: str = "") -> float:
+def _read_until(hid: HidDevice, *, fails: bool, saying: str = "") -> float:
     """Read until that fails, `saying` why, or works again; return when it did [s]."""
     end = time.monotonic() + _APPEAR_S
     for tick in Grid(RATE_HZ, stop=lambda: time.monotonic() > end):
@@ -392,9 +392,9 @@ def _wait(true: Callable[[], bool], trouble: str) -> None:
         time.sleep(0.01)
 
 
-def _silent(rig: Plugged) -> None:
+def _demand_silence(rig: Plugged) -> None:
     time.sleep(_SETTLE_S)
-    last, refused = rig.pushes()[-1], rig.refused()
+    last, refused = rig.list_pushes()[-1], rig.list_refused()
     if any(last.force):
         raise WrongError(f"closed, it still pushes with {last.force}")
     if refused:
@@ -406,7 +406,7 @@ def _demand(held: bool, figures: Figures, trouble: str) -> None:
         raise WrongError(f"{trouble}: {figures}")
 
 
-def _ms(seconds: float) -> str:
+def _format_ms(seconds: float) -> str:
     return f"{1e3 * seconds:.1f} ms"
 
 
@@ -426,10 +426,10 @@ def _try_all(say: Callable[..., None]) -> None:
 
 
 def _try(case: Case, say: Callable[..., None]) -> None:
-    def hand(moved: VirtualDevice, n: int) -> None:
-        moved.axes[: len(case.inputs)] = case.hand(n)
+    def move_hand(moved: VirtualDevice, n: int) -> None:
+        moved.axes[: len(case.inputs)] = case.place_hand(n)
 
-    case.hand(0)
-    with Plugged(case.device(), hand) as rig:
-        for check in checks_for(case):
+    case.place_hand(0)
+    with Plugged(case.build_device(), move_hand) as rig:
+        for check in list_checks(case):
             try_check(say, case.name, check, case, rig)

@@ -41,7 +41,7 @@ class Archive:
             return
         self.add(os.path.dirname(name), stat.S_IFDIR | 0o755)
         self._names.add(name)
-        self._entry(name, mode, data, int(mtime))
+        self._add_entry(name, mode, data, int(mtime))
 
     def add_file(self, path: Path) -> None:
         """Add a file of this machine, and what its links lead to, at the same place."""
@@ -55,12 +55,12 @@ class Archive:
             known = path.stat()
             self.add(str(path), known.st_mode, path.read_bytes(), known.st_mtime)
 
-    def packed(self) -> bytes:
+    def pack(self) -> bytes:
         """Return the whole."""
-        self._entry("TRAILER!!!", 0, b"", 0)
+        self._add_entry("TRAILER!!!", 0, b"", 0)
         return b"".join(self._parts)
 
-    def _entry(self, name: str, mode: int, data: bytes, mtime: int) -> None:
+    def _add_entry(self, name: str, mode: int, data: bytes, mtime: int) -> None:
         number = len(self._names)
         fields = (number, mode, 0, 0, 1, mtime, len(data), 0, 0, 0, 0, len(name) + 1, 0)
         head = b"070701" + "".join(f"{value:08x}" for value in fields).encode()
@@ -101,7 +101,7 @@ def build_image(main: str, modules: Iterable[str], kernel_modules: Iterable[Path
     path = f"import sys; sys.path.insert(0, {str(source)!r})"
     init = f"#!{python}\n{path}\nimport {main}\n{main}.main()\n"
     archive.add("/init", stat.S_IFREG | 0o755, init.encode())
-    return archive.packed()
+    return archive.pack()
 
 
 def _list_imported(modules: Iterable[str]) -> Iterator[Path]:

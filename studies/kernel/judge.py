@@ -68,7 +68,7 @@ def count_lost_reports(case: Case, decoded: Sequence[Shares]) -> int:
     lost, at = 0, None
     for shares in decoded:
         ahead = range(5000) if at is None else range(at + 1, at + 100)
-        found = next((n for n in ahead if _are_close(case.hand(n), shares, tolerance)), None)
+        found = next((n for n in ahead if _are_close(case.place_hand(n), shares, tolerance)), None)
         if found is None:
             raise WrongError(f"decoded {shares} after report {at}: no such position")
         lost += 0 if at is None else found - at - 1

@@ -199,7 +199,7 @@ class Machine:
         """What its kernel and its Python had to say."""
         return self._console.read_text(errors="replace") if self._console.exists() else ""
 
-    def news(self) -> list[dict[str, Any]]:
+    def take_news(self) -> list[dict[str, Any]]:
         """Return the results that have come since the last call."""
         lines = self._results.read_text().splitlines(keepends=True)
         new = [line for line in lines[self._lines_read :] if line.endswith("\n")]

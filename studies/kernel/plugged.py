@@ -74,7 +74,7 @@ class Uhid:
         (kind,) = struct.unpack_from("=I", event)
         if kind == _OUTPUT:
             (size,) = struct.unpack_from("=H", event, 4 + _DATA_MAX)
-            self._device.output(now, event[4 : 4 + size])
+            self._device.take_output(now, event[4 : 4 + size])
         elif kind == _GET_REPORT:
             number, report, kind = struct.unpack_from("=IBB", event, 4)
             device = self._device
@@ -119,15 +119,15 @@ class Plugged:
         """Put it in again, as it is after power on; return when that was done [s]."""
         return float(self._tell("plug"))
 
-    def pushes(self) -> list[Push]:
+    def list_pushes(self) -> list[Push]:
         """Return what it did to the hand so far."""
         return list(self._tell("pushes"))
 
-    def refused(self) -> list[bytes]:
+    def list_refused(self) -> list[bytes]:
         """Return the reports it could make nothing of."""
         return list(self._tell("refused"))
 
-    def power(self, *, on: bool) -> None:
+    def switch_power(self, *, on: bool) -> None:
         """Switch the power of its motors."""
         self._tell("power on" if on else "power off")
 
@@ -160,7 +160,7 @@ def _live(powered_on: VirtualDevice, hand: Hand, asked: Connection) -> None:
         if now >= due:
             hand(device, number)
             number += 1
-            reports = device.inputs(now)
+            reports = device.build_inputs(now)
             if uhid is not None:
                 for report in reports:
                     uhid.send(report)

@@ -96,7 +96,7 @@ def calibrate_sheaths(session: Session, driver: str) -> str:
     """Find the sheaths by the quick procedure, and run with what was found."""
     out = session.config.parent / "calibration.yaml"
     began_s = time.monotonic()
-    session.command("calibrate", "--quick", "--together", "--out", str(out))
+    session.run_command("calibrate", "--quick", "--together", "--out", str(out))
     took_s = time.monotonic() - began_s
     found = calibration_file.load(out).directions
     worst = max(abs(one.K.value - TRUE_K) for one in found) / TRUE_K
@@ -122,12 +122,12 @@ def stop_session(session: Session, driver: str) -> str:
     """Stop by `teleop stop`, reset, engage again."""
     session.engage()
     session.processes.start("stop")
-    took_s = session.stopped_after(session.stop_seen())
+    took_s = session.measure_stop(session.await_stop())
     assert took_s <= WATCHDOG_S, f"stopped only {took_s * 1e3:.0f} ms after the master was"
     require_still(session)
     session.processes.start("stop", "--reset")
     assert wait_for_condition(session.all_move, ENGAGE_S), "the motors do not move after the reset"
-    assert session.slave.poll() is None, session.said()
+    assert session.slave.poll() is None, session.read_fault()
     return f"stopped {took_s * 1e3:.0f} ms after the master was; engaged again after the reset"
 
 
@@ -144,12 +144,12 @@ def kill_with_drivers(session: Session, driver: str) -> str:
 def kill_slave(session: Session, also: list[str]) -> str:
     """Kill the slave, perhaps its drivers first; then start anew."""
     session.engage()
-    processes = [*(session.drivers() if also else []), session.slave.pid]
+    processes = [*(session.list_drivers() if also else []), session.slave.pid]
     assert len(processes) > len(also), "no driver's process"
     killed_s = time.monotonic()
     for process in processes:
         os.kill(process, signal.SIGKILL)
-    took_s = session.stopped_after(killed_s)
+    took_s = session.measure_stop(killed_s)
     moved_s = session.model.order()["moved_s"] - killed_s
     said = f"last motion {moved_s * 1e3:.0f} ms, stopped {took_s * 1e3:.0f} ms after SIGKILL"
     # a driver that lives on holds the motors by a last target, and leaves them to their watchdogs
@@ -177,7 +177,7 @@ def kill_calibration(session: Session, driver: str) -> str:
             killed_s = time.monotonic()
             process.kill()
             process.wait()
-        session.stopped_after(killed_s)
+        session.measure_stop(killed_s)
         times.append(session.model.order()["moved_s"] - killed_s)
         require_still(session)
         assert out.read_bytes() == earlier, "the earlier calibration has changed"
@@ -202,13 +202,13 @@ def require_stopped(last_motions_s: Sequence[float]) -> str:
 def kill_driver(session: Session, driver: str) -> str:
     """Kill the drivers alone: the motors stop, the slave says so and ends."""
     session.engage()
-    processes = session.drivers()
+    processes = session.list_drivers()
     killed_s = time.monotonic()
     for process in processes:
         os.kill(process, signal.SIGKILL)
-    took_s = session.stopped_after(killed_s)
+    took_s = session.measure_stop(killed_s)
     assert 0.0 <= took_s <= WATCHDOG_S, f"stopped only {took_s * 1e3:.0f} ms after SIGKILL"
-    return f"stopped {took_s * 1e3:.0f} ms after SIGKILL: {session.ended_with('has ended')}"
+    return f"stopped {took_s * 1e3:.0f} ms after SIGKILL: {session.await_fault('has ended')}"
 
 
 def unplug_adapter(session: Session, driver: str) -> str:
@@ -216,8 +216,8 @@ def unplug_adapter(session: Session, driver: str) -> str:
     session.engage()
     unplugged_s = time.monotonic()
     session.model.order("unplug")
-    took_s = session.stopped_after(unplugged_s)
-    said = session.ended_with(*SILENT)
+    took_s = session.measure_stop(unplugged_s)
+    said = session.await_fault(*SILENT)
     assert 0.0 <= took_s <= WATCHDOG_S, f"stopped only {took_s * 1e3:.0f} ms after"
     session.model.order("plug")
     require_still(session)
@@ -230,12 +230,12 @@ def fail_motor(session: Session, driver: str) -> str:
     session.engage()
     failed_s = time.monotonic()
     session.model.order("fault")
-    said = session.ended_with(*FAULTS[driver])
-    took_s = session.stopped_after(failed_s)
-    session.refused_with(*FAULTS[driver], "has a fault")
+    said = session.await_fault(*FAULTS[driver])
+    took_s = session.measure_stop(failed_s)
+    session.require_refusal(*FAULTS[driver], "has a fault")
     require_still(session)
     session.model.order("repair")
-    session.command("rig", "reset")
+    session.run_command("rig", "reset")
     require_still(session)
     session.engage()
     return f"all stopped {took_s * 1e3:.0f} ms after: {said}; refused, reset, engaged anew"

@@ -51,8 +51,8 @@ class Followed:
     def advance(self, *_) -> None:
         """Do nothing: the other bus does."""
 
-    def cells(self):
-        return self._plant.cells()
+    def read_cells(self):
+        return self._plant.read_cells()
 
 
 class BusModel:
@@ -79,7 +79,7 @@ class Microcontroller(BusModel):
     def connect(self, plugged: bool) -> None:
         self.board.port.wanted = plugged
 
-    def moving(self) -> list[bool]:
+    def list_moving(self) -> list[bool]:
         return [bool(self.board.flags & ENABLED)]
 
 
@@ -102,7 +102,7 @@ class Dynamixel(BusModel):
     def connect(self, plugged: bool) -> None:
         self.servos.port.wanted = plugged
 
-    def moving(self) -> list[bool]:
+    def list_moving(self) -> list[bool]:
         return [servo.moving for servo in self.servos.servos.values()]
 
 
@@ -132,7 +132,7 @@ class Cia402(BusModel):
             self.port.wanted = plugged
         self.drives.silent = not plugged
 
-    def moving(self) -> list[bool]:
+    def list_moving(self) -> list[bool]:
         return [drive.state == OPERATION for drive in self.drives.drives]
 
 
@@ -151,7 +151,7 @@ class Off:
             position = np.array(self._plant.position, float)
             if np.any(np.abs(position - self._position) >= STEP):
                 self._position, self.moved_s = position, time.monotonic()
-            moving = self._model.moving()
+            moving = self._model.list_moving()
             if self._moved and not any(moving):
                 self.at_s = time.monotonic()
             self._moved = any(moving)

@@ -73,7 +73,7 @@ class Session:
                 return self.slave.poll() is not None
 
             wait_for_condition(lambda: self.processes.engaged(link) or over(), START_S)
-            assert not over(), self.said() or self.processes.outputs()[-300:]
+            assert not over(), self.read_fault() or self.processes.outputs()[-300:]
         assert wait_for_condition(self.all_move, MOVING_S), "the motors are not enabled"
 
     def all_move(self) -> bool:
@@ -93,7 +93,7 @@ class Session:
                 time.sleep(0.02)
         return max(positions) - min(positions), max(forces)
 
-    def stop_seen(self) -> float:
+    def await_stop(self) -> float:
         """Wait until the master says that the session is stopped; return when it said so [s]."""
         with self.processes.look() as link:
 
@@ -104,13 +104,13 @@ class Session:
             assert wait_for_condition(stopped, START_S, poll_s=0.001), "the session is not stopped"
             return time.monotonic()
 
-    def stopped_after(self, since_s: float) -> float:
+    def measure_stop(self, since_s: float) -> float:
         """Wait until no motor moves; return how long that took [s]."""
         stopped = wait_for_condition(lambda: not any(self.model.order()["moving"]), MOVING_S)
         assert stopped, "the motors are not stopped"
         return self.model.order()["stopped_s"] - since_s
 
-    def drivers(self) -> list[int]:
+    def list_drivers(self) -> list[int]:
         """Return the process ids of the slave's drivers."""
         found = []
         for entry in Path("/proc").glob("[0-9]*/stat"):
@@ -123,21 +123,21 @@ class Session:
                 found.append(int(entry.parent.name))
         return found
 
-    def said(self) -> str:
+    def read_fault(self) -> str:
         """Return the last fault of the rig that the slave has printed, without its prefix."""
         lines = self.processes.outputs().splitlines()
         faults = [line for line in lines if line.startswith("teleop: ")]
         return faults[-1].removeprefix("teleop: ").removeprefix("rig: ") if faults else ""
 
-    def ended_with(self, *words: str) -> str:
+    def await_fault(self, *words: str) -> str:
         """Wait until the slave has ended in a fault that says one of the words; return it."""
         code = self.slave.wait(END_S)
         assert code in (1, 2), f"exit code {code}"
-        said = self.said()
+        said = self.read_fault()
         assert any(word in said for word in words), said
         return said
 
-    def refused_with(self, *words: str) -> str:
+    def require_refusal(self, *words: str) -> str:
         """Start a slave alone; it must refuse the rig with one of the words."""
         folder = self.config.parent / f"{self._sessions}-refused"
         folder.mkdir()
@@ -148,7 +148,7 @@ class Session:
         assert any(word in said for word in words), said[-300:]
         return said
 
-    def command(self, *words: str) -> str:
+    def run_command(self, *words: str) -> str:
         """Run a command of the project on the config; return what it prints."""
         with self.start(*words) as process:
             said, complaint = process.communicate()

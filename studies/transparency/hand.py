@@ -137,13 +137,15 @@ class GuidedHand:
 def build_reach(target: float, begin: float, lasts: float = 0.6, back: float = math.inf) -> Motion:
     """Return a motion to `target` [m] that begins at `begin` [s], and returns at `back` [s]."""
 
-    def way(time: float) -> float:
-        return target * (_smooth_step((time - begin) / lasts) - _smooth_step((time - back) / lasts))
+    def move(time: float) -> float:
+        return target * (
+            _move_smoothly((time - begin) / lasts) - _move_smoothly((time - back) / lasts)
+        )
 
-    return way
+    return move
 
 
-def _smooth_step(s: float) -> float:
+def _move_smoothly(s: float) -> float:
     """Return the way of least jerk, 0 to 1 while s goes from 0 to 1."""
     s = min(max(s, 0.0), 1.0)
     return s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)

@@ -183,7 +183,7 @@ def _run_periods(
     """Return the periods that count of one run."""
     begin = SETTLED + round_trip + 0.2
 
-    def growing(signal: Multisine | None) -> Callable[[float], float]:
+    def grow(signal: Multisine | None) -> Callable[[float], float]:
         if signal is None:
             return lambda _time: 0.0
         return lambda time: (
@@ -194,10 +194,10 @@ def _run_periods(
     length = round(excitation.period / DT)
     record = run_hand(
         system,
-        GuidedHand(growing(motion), device),
+        GuidedHand(grow(motion), device),
         first + excitation.periods * excitation.period,
         engage=SETTLED + round_trip,
-        push=growing(force),
+        push=grow(force),
     )
     start = len(record.time) - excitation.periods * length
     return [

@@ -116,7 +116,7 @@ def build_quality_table(cases: list[Case]) -> Table:
 
 
 def _format_criterion(study: Study, case: Case) -> str:
-    if not study.linear(case.coupling, case.round_trip):
+    if not study.is_linear(case.coupling, case.round_trip):
         return "does not apply"
     found = hybrid.compute_margin(case.hybrid)
     if found.stable.all():

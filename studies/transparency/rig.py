@@ -58,7 +58,7 @@ class Rig:
 
     def load(self) -> float:
         """See `TestRig`."""
-        return self._load(self.tip)
+        return self._compute_load(self.tip)
 
     def advance(self, push: float = 0.0) -> None:
         """See `TestRig`."""
@@ -72,13 +72,13 @@ class Rig:
 
     def read(self) -> list[RigSample]:
         """See `TestRig`."""
-        tension = self._tension(self.tip) + self._rng.normal(0.0, NOISE)
+        tension = self._compute_tension(self.tip) + self._rng.normal(0.0, NOISE)
         return [RigSample(self._time, np.array([tension]), np.array([self._motor]))]
 
-    def _tension(self, q: float) -> float:
+    def _compute_tension(self, q: float) -> float:
         return max(TENDON * (self._motor - q), 0.0)
 
-    def _load(self, q: float) -> float:
+    def _compute_load(self, q: float) -> float:
         return self._pretension + self._spring * q + self._environment(q) + self._push
 
     def _balance(self) -> float:
@@ -87,10 +87,10 @@ class Rig:
         By the Illinois method, to a force of 1e-9 N.
         """
         low, high = -0.1, 0.2
-        below, above = (self._tension(q) - self._load(q) for q in (low, high))
+        below, above = (self._compute_tension(q) - self._compute_load(q) for q in (low, high))
         q = self.tip
         for _ in range(100):
-            rest = self._tension(q) - self._load(q)
+            rest = self._compute_tension(q) - self._compute_load(q)
             if abs(rest) < 1e-9:
                 break
             if rest > 0.0:

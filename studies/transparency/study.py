@@ -45,28 +45,28 @@ class Study:
     within: float = 1.2  # ratio to which the Z-width is reported
     excitation: Excitation = EXCITATION
 
-    def network(self, round_trip: float) -> Network:
+    def build_network(self, round_trip: float) -> Network:
         """Return the network of so long a round trip [s]."""
         return Network(round_trip, min(self.jitter, round_trip), self.loss, seed=1)
 
-    def coupling(self, name: str) -> CouplingConfig:
+    def build_coupling(self, name: str) -> CouplingConfig:
         """Return a coupling: as a session has it that sets nothing, but for this jitter."""
         if name == "wave":
             wave = WaveConfig()
             return replace(wave, play=max(wave.play, 2.0 * self.jitter))
         return PassivityConfig() if name == "passivity" else DirectConfig()
 
-    def linear(self, name: str, round_trip: float) -> bool:
+    def is_linear(self, name: str, round_trip: float) -> bool:
         """Return whether Llewellyn's criterion applies: a linear law, a constant network."""
-        return name in LINEAR and self.network(round_trip).constant
+        return name in LINEAR and self.build_network(round_trip).constant
 
-    def system(
+    def build_system(
         self, name: str, round_trip: float, environment: Environment, spring: float, load: float
     ) -> Teleoperator:
         """Return a new session."""
-        network = self.network(round_trip)
+        network = self.build_network(round_trip)
         return Teleoperator(
-            Bilateral(coupling=self.coupling(name)),
+            Bilateral(coupling=self.build_coupling(name)),
             Rig(environment, spring, load),
             network,
             build_settings(self.force_scale, self.position_scale, network),
@@ -152,7 +152,7 @@ def _measure_stiffness(study: Study, task: Task) -> tuple[SpringContact, ...]:
     scales = study.force_scale, study.position_scale
     return tuple(
         stiffness.press_spring(
-            study.system(task.coupling, task.round_trip, build_wall(k, 0.0), 0.0, PRETENSION),
+            study.build_system(task.coupling, task.round_trip, build_wall(k, 0.0), 0.0, PRETENSION),
             k,
             scales,
             task.round_trip,
@@ -169,7 +169,7 @@ def _measure_zwidth(study: Study, task: Task) -> Walls:
     def stable(k: float) -> bool:
         met = build_wall(k, CONTACT)
         record = zwidth.push_wall(
-            study.system(task.coupling, task.round_trip, met, SPRING, PRETENSION),
+            study.build_system(task.coupling, task.round_trip, met, SPRING, PRETENSION),
             HANDS[task.hand],
             device,
             CONTACT / study.position_scale,

@@ -80,7 +80,7 @@ class Channel(Generic[M]):
             arrives = now_ns + round(max(late, 0.0) * 1e9)
             self._under_way.append((arrives, self._sent, data))
 
-    def newest(self, now_ns: int) -> LatestMessage[M]:
+    def take_newest(self, now_ns: int) -> LatestMessage[M]:
         """Return the live `Latest` at `now_ns`."""
         arrived = sorted(item for item in self._under_way if item[0] <= now_ns)
         self._under_way = [item for item in self._under_way if item[0] > now_ns]
@@ -223,9 +223,9 @@ class Teleoperator:
         """See `System`."""
         now, half_tick = self._now, self._now + TICK_NS // 2
         self._now += TICK_NS
-        self._master_tick(hand, now)
+        self._tick_master(hand, now)
         self._rig.advance(push)
-        self._slave_tick(self._rig.read(), half_tick)
+        self._tick_slave(self._rig.read(), half_tick)
         master, slave = self.master, self.slave
         followed = float(slave.coupling.tip[0]) if slave.coupling.coupled else float("nan")
         return Answer(
@@ -239,8 +239,8 @@ class Teleoperator:
             bool(master.session.state == slave.session.state == State.ENGAGED),
         )
 
-    def _master_tick(self, hand: HandState, now: int) -> None:
-        latest = self._states.newest(now)
+    def _tick_master(self, hand: HandState, now: int) -> None:
+        latest = self._states.take_newest(now)
         hand_input.fill_hand_input(self._hands, hand)
         tick_input = master_loop.TickInput(DT, now, latest.is_there, latest.compute_age_ns(now))
         known = (
@@ -251,8 +251,8 @@ class Teleoperator:
         master_loop.compute_force(*known, self._maps, False, self._force)
         self._commands.send(self._command, now)
 
-    def _slave_tick(self, samples: Sequence[RigSample], now: int) -> None:
-        slave, latest = self._slave, self._commands.newest(now)
+    def _tick_slave(self, samples: Sequence[RigSample], now: int) -> None:
+        slave, latest = self._slave, self._commands.take_newest(now)
         rows = to_sample_rows(samples)
         estimate(*slave.estimate_arguments, rows, len(samples))
         fresh = latest.is_fresh(now, self._timeout_ns)

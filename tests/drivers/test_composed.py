@@ -57,8 +57,8 @@ class Followed:
     def advance(self, *_):
         pass
 
-    def cells(self):
-        return self._servos.plant.cells()
+    def read_cells(self):
+        return self._servos.plant.read_cells()
 
 
 def test_one_sample_comes_of_both_buses_and_the_error_of_its_time_is_stated(buses):

@@ -55,12 +55,12 @@ class Node:
                 return
             self._said_s += count * self.device.interval
             for _ in range(min(count, 2 * QUEUE)):
-                self.push(*self.device.inputs(now))
+                self.push(*self.device.build_inputs(now))
 
     def force(self) -> tuple[float, ...]:
         """Return what the device does to the hand now."""
         with self.lock:
-            self.device.inputs(self.bus.clock())
+            self.device.build_inputs(self.bus.clock())
             return self.device.pushes[-1].force
 
 
@@ -119,7 +119,7 @@ class Handle:
                 return -1
             with node.lock:
                 node.written.append(bytes(buff))
-                node.device.output(self._bus.clock(), bytes(buff))
+                node.device.take_output(self._bus.clock(), bytes(buff))
             return len(buff)
         finally:
             self._inside -= 1

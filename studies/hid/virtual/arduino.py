@@ -11,7 +11,7 @@ import math
 import struct
 from typing import ClassVar
 
-from studies.hid.virtual.pid import OUTPUTS, PidFirmware, seconds
+from studies.hid.virtual.pid import OUTPUTS, PidFirmware, to_seconds
 
 _DIRECTION_ONLY = 0x04
 _BOTH = 0x03
@@ -36,7 +36,7 @@ class Arduino(PidFirmware):
         super().__init__(descriptor)
         self.active = True
 
-    def report(self) -> bytes:
+    def build_report(self) -> bytes:
         x, y = (round(share * 32767) for share in self.axes)
         return struct.pack("<BIBhh", 0x01, self.buttons, _HAT_AT_REST, x, y)
 
@@ -45,23 +45,23 @@ class Arduino(PidFirmware):
             return
         effect.kind = report[2]
         (milliseconds,) = struct.unpack_from("<H", report, 3)
-        effect.duration = seconds(milliseconds)
+        effect.duration = to_seconds(milliseconds)
         effect.gain = report[9] / 255
-        effect.pull = _pull(enable=report[11], x=report[12], y=report[13])
+        effect.pull = _compute_pull(enable=report[11], x=report[12], y=report[13])
 
-    def effect_operation(self, report: bytes) -> None:
+    def operate_effect(self, report: bytes) -> None:
         """Start or stop an effect; a loop count of 255 changes its duration."""
         if report[2] != _STOP and report[3] == _FOR_EVER and report[1] in self.effects:
-            self.effects[report[1]].duration = seconds(0x7FFF)
-        super().effect_operation(report)
+            self.effects[report[1]].duration = to_seconds(0x7FFF)
+        super().operate_effect(report)
 
-    def block_free(self, report: bytes) -> None:
+    def free_block(self, report: bytes) -> None:
         """Forget one effect, or all."""
         if report[1] == _ALL:
             self.effects.clear()
-        super().block_free(report)
+        super().free_block(report)
 
-    def device_control(self, report: bytes) -> None:
+    def control_device(self, report: bytes) -> None:
         command = report[1]
         if command == _STOP_ALL:
             self.stop_all()
@@ -72,20 +72,20 @@ class Arduino(PidFirmware):
         elif command == _CONTINUE:
             self.active = True
 
-    def device_gain(self, report: bytes) -> None:
+    def set_device_gain(self, report: bytes) -> None:
         """Stored by the firmware, and never used."""
 
-    def load(self) -> tuple[int, int]:
+    def read_load(self) -> tuple[int, int]:
         """Return the last creation, its block only once."""
         loaded, self.loaded = self.loaded, (0, self.loaded[1])
         return loaded
 
-    def pool(self) -> tuple[int, int]:
+    def read_pool(self) -> tuple[int, int]:
         self.effects.clear()
         return self.slots + 1, 3
 
 
-def _pull(enable: int, x: int, y: int) -> tuple[float, float]:
+def _compute_pull(enable: int, x: int, y: int) -> tuple[float, float]:
     """Return what each axis feels: one direction for both, or else one each, of those enabled."""
     if enable == _DIRECTION_ONLY:
         enable, y = _BOTH, x

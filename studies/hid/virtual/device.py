@@ -33,11 +33,11 @@ class VirtualDevice:
         self.pushes = [Push(-math.inf, (0.0,) * forces)]  # what it did to the hand, each change
         self.refused: list[bytes] = []  # reports that are unknown, or of the wrong length
 
-    def inputs(self, now: float) -> list[bytes]:
+    def build_inputs(self, now: float) -> list[bytes]:
         """Return the input reports of this moment; also moves the device's own clock on."""
         raise NotImplementedError
 
-    def output(self, now: float, report: bytes) -> None:
+    def take_output(self, now: float, report: bytes) -> None:
         raise NotImplementedError
 
     def set_feature(self, _now: float, report: bytes) -> None:

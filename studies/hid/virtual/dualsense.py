@@ -33,7 +33,7 @@ class DualSense(VirtualDevice):
         self.effects = [bytes(11), bytes(11)]
         self._sequence = 0
 
-    def inputs(self, now: float) -> list[bytes]:
+    def build_inputs(self, now: float) -> list[bytes]:
         """Return the one report there is; nobody touches the pad."""
         self._sequence = (self._sequence + 1) & 0xFF
         body = bytearray(63)
@@ -47,26 +47,26 @@ class DualSense(VirtualDevice):
         body[52] = 0x08
         if self.bus == USB:
             return [b"\x01" + body]
-        return [_signed(0xA1, b"\x31\x01" + bytes(body) + bytes(9))]
+        return [_sign(0xA1, b"\x31\x01" + bytes(body) + bytes(9))]
 
-    def output(self, now: float, report: bytes) -> None:
+    def take_output(self, now: float, report: bytes) -> None:
         """Take triggers, and ignore lights and rumble; without its CRC nothing is taken."""
-        common = self._common(report)
+        common = self._read_common(report)
         if common is None:
             self.refused.append(report)
             return
         for side, flag, start in ((RIGHT, 0x04, 10), (LEFT, 0x08, 21)):
             if common[0] & flag:
                 self.effects[side] = common[start : start + 11]
-        push = Push(now, tuple(-_strongest(effect) for effect in self.effects))
+        push = Push(now, tuple(-_find_strongest(effect) for effect in self.effects))
         if push.force != self.pushes[-1].force:
             self.pushes.append(push)
 
-    def _common(self, report: bytes) -> bytes | None:
+    def _read_common(self, report: bytes) -> bytes | None:
         if self.bus == USB:
             return report[1:] if report[0] == 0x02 and len(report) in (48, 63) else None
         whole = report[0] == 0x31 and len(report) == 78 and report[2] == 0x10
-        return report[3:74] if whole and report == _signed(0xA2, report[:74]) else None
+        return report[3:74] if whole and report == _sign(0xA2, report[:74]) else None
 
     def get_feature(self, _now: float, number: int) -> bytes | None:
         if number == 0x05:  # gyro: bias 0, +-8192 at 540 deg/s; accelerometer: +-8192 at 1 g
@@ -82,10 +82,10 @@ class DualSense(VirtualDevice):
         else:
             return None
         report = bytes((number,)) + body
-        return report if self.bus == USB else _signed(0xA3, report[:-4])
+        return report if self.bus == USB else _sign(0xA3, report[:-4])
 
 
-def zones(effect: bytes) -> tuple[int, ...]:
+def list_zones(effect: bytes) -> tuple[int, ...]:
     """Return the strength 0 ... 8 of each of the ten zones of a trigger effect."""
     if effect[0] != _FEEDBACK:
         return (0,) * 10
@@ -93,9 +93,9 @@ def zones(effect: bytes) -> tuple[int, ...]:
     return tuple((strengths >> 3 * n & 7) + 1 if active >> n & 1 else 0 for n in range(10))
 
 
-def _strongest(effect: bytes) -> float:
-    return max(zones(effect)) / 8
+def _find_strongest(effect: bytes) -> float:
+    return max(list_zones(effect)) / 8
 
 
-def _signed(seed: int, report: bytes) -> bytes:
+def _sign(seed: int, report: bytes) -> bytes:
     return report + struct.pack("<I", zlib.crc32(bytes((seed,)) + report))

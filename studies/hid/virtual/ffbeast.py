@@ -21,13 +21,13 @@ class FFBeast(VirtualDevice):
     def __init__(self, descriptor: bytes) -> None:
         super().__init__(descriptor, axes=1, forces=1)
 
-    def inputs(self, _now: float) -> list[bytes]:
+    def build_inputs(self, _now: float) -> list[bytes]:
         """Return firmware, registered, position, torque."""
         counts = round(self.axes[0] * 10_000)
         head = struct.pack("<B4BBhh", _REPORT, 1, 2, 3, 4, 1, counts, 0)
         return [head.ljust(_SIZE, b"\0")]
 
-    def output(self, now: float, report: bytes) -> None:
+    def take_output(self, now: float, report: bytes) -> None:
         if len(report) != _SIZE or report[:2] != bytes((_REPORT, _DIRECT)):
             self.refused.append(report)
             return

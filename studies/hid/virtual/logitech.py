@@ -22,12 +22,12 @@ class Logitech(VirtualDevice):
         super().__init__(descriptor, axes=1, forces=1)
         self.centred = True
 
-    def inputs(self, _now: float) -> list[bytes]:
+    def build_inputs(self, _now: float) -> list[bytes]:
         """Return hat and buttons, steering, three pedals."""
         steering = round((self.axes[0] + 1.0) * 32767.5)
         return [struct.pack("<IHBBB3x", _HAT_AT_REST | self.buttons << 4, steering, 255, 255, 255)]
 
-    def output(self, now: float, report: bytes) -> None:
+    def take_output(self, now: float, report: bytes) -> None:
         known = len(report) == 8 and report[0] == 0
         if known and report[1:3] == b"\x11\x08":
             self.pushes.append(Push(now, ((0x80 - report[3]) / 127,)))

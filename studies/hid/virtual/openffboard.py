@@ -10,7 +10,7 @@ import math
 import struct
 from typing import ClassVar
 
-from studies.hid.virtual.pid import INFINITE_MS, OUTPUTS, PidFirmware, seconds
+from studies.hid.virtual.pid import INFINITE_MS, OUTPUTS, PidFirmware, to_seconds
 
 _ENABLE, _DISABLE, _STOP, _RESET, _PAUSE, _CONTINUE = (1 << bit for bit in range(6))
 _PAUSED, _ON, _POWER = 0x01, 0x02, 0x08
@@ -25,11 +25,11 @@ class OpenFFBoard(PidFirmware):
     answers_state = False
     full_scale = 32767
 
-    def report(self) -> bytes:
+    def build_report(self) -> bytes:
         counts = [round(share * 32767) for share in self.axes]
         return struct.pack("<BQ8h", 0x01, self.buttons, *counts, *[0] * (8 - len(counts)))
 
-    def state(self) -> bytes:
+    def build_state(self) -> bytes:
         return bytes((0x02, (_ON if self.active else _PAUSED) | (_POWER if self.powered else 0)))
 
     def set_effect(self, report: bytes) -> None:
@@ -38,12 +38,14 @@ class OpenFFBoard(PidFirmware):
             return
         effect.kind = report[2]
         (milliseconds,) = struct.unpack_from("<H", report, 3)
-        effect.duration = seconds(milliseconds or INFINITE_MS)
+        effect.duration = to_seconds(milliseconds or INFINITE_MS)
         effect.gain = (report[11] + 1) / 256
-        effect.pull = self._pull(report[13], struct.unpack_from(f"<{len(self.axes)}H", report, 14))
+        effect.pull = self._compute_pull(
+            report[13], struct.unpack_from(f"<{len(self.axes)}H", report, 14)
+        )
         self.active = True
 
-    def _pull(self, enable: int, directions: tuple[int, ...]) -> tuple[float, ...]:
+    def _compute_pull(self, enable: int, directions: tuple[int, ...]) -> tuple[float, ...]:
         if enable & 1 << len(self.axes):
             angle = math.radians(directions[0] / 100)
             return (-math.sin(angle), math.cos(angle))[: len(self.axes)]
@@ -53,7 +55,7 @@ class OpenFFBoard(PidFirmware):
             for axis, (sign, share) in enumerate(zip((-1, 1), linear, strict=False))
         )
 
-    def device_control(self, report: bytes) -> None:
+    def control_device(self, report: bytes) -> None:
         """Take a mask; several bits act in this order."""
         mask = report[1]
         if mask & _ENABLE:
@@ -65,7 +67,7 @@ class OpenFFBoard(PidFirmware):
         if mask & _CONTINUE:
             self.active = True
 
-    def device_gain(self, report: bytes) -> None:
+    def set_device_gain(self, report: bytes) -> None:
         self.gain = (report[1] + 1) / 256
 
 

@@ -10,7 +10,7 @@ import math
 import struct
 from typing import ClassVar
 
-from studies.hid.virtual.pid import PidFirmware, seconds
+from studies.hid.virtual.pid import PidFirmware, to_seconds
 
 _DISABLE, _ENABLE, _STOP_ALL, _RESET, _PAUSE, _CONTINUE = 1, 2, 3, 4, 5, 6
 _ENABLED, _SAFETY, _POWER = 0x04, 0x08, 0x10
@@ -26,22 +26,22 @@ class Rhino(PidFirmware):
         101: ("set_effect", 17),
         103: ("set_condition", 15),
         105: ("set_constant", 4),
-        110: ("effect_operation", 4),
-        111: ("block_free", 2),
-        112: ("device_control", 2),
-        113: ("device_gain", 2),
+        110: ("operate_effect", 4),
+        111: ("free_block", 2),
+        112: ("control_device", 2),
+        113: ("set_device_gain", 2),
     }
     creation, loading, pooling = 5, 6, 7
     slots = 64
     full_scale = 4096
 
-    def report(self) -> bytes:
+    def build_report(self) -> bytes:
         x, y = (round(share * 4096) for share in self.axes)
         first, more = self.buttons & (1 << 48) - 1, self.buttons >> 48
         head = struct.pack("<B3h4x", 0x01, x, y, 0)
         return head + first.to_bytes(6, "little") + struct.pack("<HH13x", _HATS_AT_REST, more)
 
-    def state(self) -> bytes:
+    def build_state(self) -> bytes:
         """Tell of the motors, as its descriptor has it; what the firmware does is not known."""
         flags = (
             (_ENABLED if self.active else 0)
@@ -55,12 +55,12 @@ class Rhino(PidFirmware):
             return
         effect.kind = report[2]
         milliseconds, gain = struct.unpack_from("<H4xH", report, 3)
-        effect.duration = seconds(milliseconds)
+        effect.duration = to_seconds(milliseconds)
         effect.gain = gain / 4096
         angle = 2 * math.pi * report[13] / 255
         effect.pull = (-math.sin(angle), math.cos(angle)) if report[12] & 4 else (0.0, 0.0)
 
-    def device_control(self, report: bytes) -> None:
+    def control_device(self, report: bytes) -> None:
         command = report[1]
         if command in (_ENABLE, _CONTINUE):
             self.active = True
@@ -71,5 +71,5 @@ class Rhino(PidFirmware):
         elif command == _RESET:
             self.effects.clear()
 
-    def device_gain(self, report: bytes) -> None:
+    def set_device_gain(self, report: bytes) -> None:
         self.gain = report[1] / 255

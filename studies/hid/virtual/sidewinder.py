@@ -26,7 +26,7 @@ class SideWinder(Arduino):
         self.centres = self.enabled = True
         self.paused = False
 
-    def state(self) -> bytes:
+    def build_state(self) -> bytes:
         flags = (
             (_PAUSED if self.paused else 0)
             | (_ENABLED if self.enabled else 0)
@@ -35,7 +35,7 @@ class SideWinder(Arduino):
         )
         return bytes((0x02, flags | _OVERRIDE, 0))
 
-    def device_control(self, report: bytes) -> None:
+    def control_device(self, report: bytes) -> None:
         command = report[1]
         if command == _ENABLE:
             self.enabled = True
@@ -53,8 +53,8 @@ class SideWinder(Arduino):
             self.paused = False
         self.active = self.enabled and not self.paused
 
-    def force(self, now: float) -> tuple[float, ...]:
-        pushed = super().force(now)
+    def compute_force(self, now: float) -> tuple[float, ...]:
+        pushed = super().compute_force(now)
         if not (self.centres and self.enabled and self.powered and self.safety):
             return pushed
         return tuple(

@@ -22,7 +22,7 @@ class SpaceMouse(VirtualDevice):
         self._older = older
         self._said = ((0,) * _AXES, 0)
 
-    def inputs(self, _now: float) -> list[bytes]:
+    def build_inputs(self, _now: float) -> list[bytes]:
         """Return reports while the cap is off its centre, and once when it is back."""
         counts = tuple(round(share * self._full) for share in self.axes)
         said, self._said = self._said, (counts, self.buttons)
@@ -39,7 +39,7 @@ class SpaceMouse(VirtualDevice):
             reports.append(struct.pack("<BH", 3, self.buttons))
         return reports
 
-    def output(self, _now: float, report: bytes) -> None:
+    def take_output(self, _now: float, report: bytes) -> None:
         if len(report) == 2 and report[0] == 4:
             self.light = bool(report[1])
         else:

@@ -115,7 +115,7 @@ class Board(BusThread):
                 round(now_us),
                 sampled,
                 self.plant.position[:motors],
-                self.plant.cells()[:cells],
+                self.plant.read_cells()[:cells],
                 self.fault,
                 round(now_us / self._patience),
             )

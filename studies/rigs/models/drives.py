@@ -246,7 +246,7 @@ class Drives(BusThread):
             [drive.target for drive in self.drives],
             [drive.powered for drive in self.drives],
         )
-        cells = self.plant.cells()
+        cells = self.plant.read_cells()
         for drive, position, cell in zip(self.drives, self.plant.position, cells, strict=True):
             drive.advance(position, cell, now)
 

@@ -32,7 +32,7 @@ class Springs:
         stalled = ZERO + tension_max / (METRES * self.STIFFNESS)
         self.position = np.where(powered, np.minimum(moved, stalled), moved)
 
-    def cells(self):
+    def read_cells(self):
         tension = np.maximum((self.position - ZERO) * METRES * self.STIFFNESS, 0.0)
         noise = self._random.normal(0.0, 0.01, len(tension))
         return np.round((1.0 + tension + noise) / NEWTONS)
@@ -70,11 +70,11 @@ class Tendons:
         A motor whose tension is above `load_max` [counts of the cells] pulls in no further.
         """
         wanted = (np.asarray(target, float) - ZERO) * METRES
-        wanted = np.where(self.cells() > load_max, np.minimum(wanted, self._held), wanted)
+        wanted = np.where(self.read_cells() > load_max, np.minimum(wanted, self._held), wanted)
         self._held = np.where(powered, wanted, self._held)
         self._rig.write(self._held)
         for sample in self._rig.read(time_s):
             self._sample = sample
 
-    def cells(self):
+    def read_cells(self):
         return np.round(self._sample.proximal_tension / NEWTONS)

@@ -162,7 +162,7 @@ class Servos(BusThread):
         limits = [servo.current_max for servo in servos]
         powered = [servo.moving for servo in servos]
         self.plant.advance(now - self._start_s, goals, powered, limits)
-        cells = self.plant.cells()
+        cells = self.plant.read_cells()
         for servo, position, tension in zip(servos, self.plant.position, cells, strict=True):
             servo.put(POSITION, 4, round(position))
             servo.put(CURRENT, 2, round(min(tension, servo.current_max, 30_000)))

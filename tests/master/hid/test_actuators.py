@@ -112,7 +112,7 @@ def test_power_that_goes_and_a_pause_by_another_program_are_faults_that_name_the
     assert node.handles  # it was not closed meanwhile
     assert not any(node.force())
     pause = {"openffboard": b"\x0c\x10", "sidewinder": b"\x0c\x05", "rhino": b"\x70\x05"}
-    node.device.output(node.bus.clock(), pause[type(node.device).__name__.lower()])
+    node.device.take_output(node.bus.clock(), pause[type(node.device).__name__.lower()])
     assert wait_for_condition(lambda: "close other programs" in said(device), 30.0)
 
 
@@ -169,11 +169,11 @@ def test_a_beginning_that_fails_right_after_the_reset_does_not_leave_it_pushing(
 
         refusals = 1
 
-        def device_control(self, report):
+        def control_device(self, report):
             if report[1] == 3 and self.refusals:
                 self.refusals -= 1
                 raise OSError("stalled")
-            super().device_control(report)
+            super().control_device(report)
 
     device = Flaky(descriptors.arduino())
     device.axes = [1.0, 0.0]

@@ -26,13 +26,13 @@ class Free(OpenFFBoard):
         super().__init__(descriptors.openffboard())
         self._before = None
 
-    def inputs(self, now):
+    def build_inputs(self, now):
         dt = 0.0 if self._before is None else now - self._before
         self._before = now
         for axis, (way, share) in enumerate(zip(self.wired, self.pushes[-1].force, strict=True)):
             moved = self.axes[axis] + 5.0 * way * share * dt
             self.axes[axis] = min(max(moved, -1.0), 1.0)
-        return super().inputs(now)
+        return super().build_inputs(now)
 
 
 class Someone:

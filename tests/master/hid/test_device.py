@@ -165,12 +165,12 @@ def test_reports_that_may_have_been_missed_are_a_loss_and_then_the_switch_counts
     loop.tick()
     moved = board()
     moved.axes = [1.0, 0.0]
-    node.push(*[moved.report()] * 70)
+    node.push(*[moved.build_report()] * 70)
     assert "reports were lost" in loop.tick()
     assert loop.tick() == ""
     assert loop.hand.engage
     assert (loop.hand.position[0], loop.hand.velocity[0]) == (pytest.approx(0.05, abs=1e-5), 0.0)
-    node.push(moved.report())
+    node.push(moved.build_report())
     loop.tick()
     assert not loop.hand.engage
     assert loop.hand.position[0] == pytest.approx(0.1)

@@ -208,7 +208,7 @@ class Cable:
         self.now = 0.0
 
     def write(self, report):
-        self.device.output(self.now, report)
+        self.device.take_output(self.now, report)
 
     def send_feature(self, report):
         self.device.set_feature(self.now, report)
@@ -225,7 +225,7 @@ class Cable:
     def push(self, driver, force, arm=True):
         for report in driver.encode(force, arm):
             self.write(report)
-        return self.device.force(self.now)
+        return self.device.compute_force(self.now)
 
 
 @pytest.fixture(params=SIGNS)
@@ -244,8 +244,8 @@ def zero(driver):
 def test_every_force_is_felt_on_its_axis(plugged):
     name, cable, driver = plugged
     axes = len(driver.forces)
-    assert cable.device.force(0.0) == zero(driver)
-    assert not any(effect.plays(0.0) for effect in cable.device.effects.values())
+    assert cable.device.compute_force(0.0) == zero(driver)
+    assert not any(effect.is_playing(0.0) for effect in cable.device.effects.values())
     for asked in ((0.5, 0.0), (0.0, -0.5), (-1.0, 0.25), (0.0, 0.0)):
         felt = cable.push(driver, asked[:axes])
         assert felt == pytest.approx([SIGNS[name] * share for share in asked[:axes]], abs=NEARLY)
@@ -260,12 +260,12 @@ def test_a_force_lives_while_it_is_armed_and_dies_without(plugged):
         assert all(cable.push(driver, asked, arm=tick % 50 == 0))
     last_arm, end = 0.950, cable.now
     cable.now = end + 1e-3
-    assert any(cable.device.force(cable.now))
+    assert any(cable.device.compute_force(cable.now))
     for tick in range(250):  # a host that writes magnitudes but starts nothing is dead as well
         cable.now = end + tick * 1e-3
         cable.push(driver, asked, arm=False)
-    assert cable.device.force(last_arm + 0.250) == zero(driver)
-    assert cable.device.force(cable.now) == zero(driver)
+    assert cable.device.compute_force(last_arm + 0.250) == zero(driver)
+    assert cable.device.compute_force(cable.now) == zero(driver)
     assert all(cable.push(driver, asked))
 
 
@@ -276,7 +276,7 @@ def test_a_spring_and_a_damper_act_on_every_axis_while_there_is_a_force(plugged)
     assert conditions == {8: axes, 9: axes}
 
     def acting():
-        return {e.kind for e in device.effects.values() if e.kind > 1 and e.plays(cable.now)}
+        return {e.kind for e in device.effects.values() if e.kind > 1 and e.is_playing(cable.now)}
 
     asked = (0.1, 0.1)[: len(driver.forces)]
     for now, force, arm, kinds in (
@@ -299,7 +299,7 @@ def test_silence_leaves_nothing(plugged):
     cable.push(driver, (1.0, 1.0)[: len(driver.forces)])
     for report in driver.silence():
         cable.write(report)
-    assert cable.device.force(cable.now) == zero(driver)
+    assert cable.device.compute_force(cable.now) == zero(driver)
     assert not cable.device.effects
     driver.begin(cable)
     assert any(cable.push(driver, (1.0, 1.0)[: len(driver.forces)]))

@@ -26,7 +26,7 @@ class Keyboard:
     interval = 0.01
     pushes: tuple = ()
 
-    def inputs(self, _now):
+    def build_inputs(self, _now):
         return []
 
 
@@ -205,7 +205,7 @@ class ConsoleWheel(Logitech):
         super().__init__(descriptors.logitech_g29())
         self.bus, self.leaves, self.now = bus, leaves, None
 
-    def output(self, _now, report):
+    def take_output(self, _now, report):
         if report != SWITCH:
             self.refused.append(report)
         elif self.leaves:
