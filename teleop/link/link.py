@@ -99,7 +99,11 @@ class Link:
                 # the end of a claim shown later is told to nobody
                 self._roster.show_token(self._token)
                 claim.undeclare()
-            opening.enter_context(self._probe())
+            probe = ConnectionProbe(
+                self._find_endpoints()[1], self.credentials, self.session,
+                lambda: [link.dst for link in self._zenoh.info.links()], self.refusals.note,
+            )  # fmt: skip
+            opening.enter_context(probe)
             self._closing = opening.pop_all()
         return self
 
@@ -318,16 +322,6 @@ class Link:
                 f"session {self.session!r} has a {name} already, at {endpoints[0]}; stop that one "
                 "first, or choose another session name and other endpoints"
             )
-
-    def _probe(self) -> ConnectionProbe:
-        """Return what watches for ends that answer and do not become connections."""
-        return ConnectionProbe(
-            self._find_endpoints()[1],
-            self.credentials,
-            self.session,
-            lambda: [link.dst for link in self._zenoh.info.links()],
-            self.refusals.note,
-        )
 
     def _on_connection(self, event: zenoh.LinkEvent) -> None:
         """Note a connection of a certificate that has nothing to do here; it is not served."""

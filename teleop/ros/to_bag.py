@@ -11,7 +11,7 @@ from teleop.config.loading import ConfigDocument
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_JOINTS, TendonState
 from teleop.messages.topics import EVENT, REPORT, SHEATH, STATE, TENDONS, TOPICS
-from teleop.recording.reader import RecordedMessage, RecordingInfo, open_recording, read_messages
+from teleop.recording.reader import RecordedMessage, open_recording, read_messages
 from teleop.recording.replay_to_link import print_doubts, require_present_layout
 from teleop.ros.arms import RosArm, load_ros_arms
 from teleop.ros.bag_writer import BagWriter
@@ -113,15 +113,6 @@ class BagConverter:
         self._bag.write(topic, sample.message, qos, *times)
 
 
-def convert_recording(info: RecordingInfo, bag: BagWriter, prefix: str, period_s: float) -> None:
-    """Add all messages of a recording of the present layout to a bag."""
-    document = ConfigDocument.read(info.path)
-    arms = load_ros_arms(document, document.load(RunConfig).arms)
-    converter = BagConverter(bag, info.session, prefix, period_s, arms)
-    for recorded in read_messages(info.path):
-        converter(recorded)
-
-
 def write_bag(path: Path, folder: Path, prefix: str, rate_hz: float | None) -> int:
     """Convert a recording to a bag in a new folder, say what it lacks and what was written.
 
@@ -138,7 +129,12 @@ def write_bag(path: Path, folder: Path, prefix: str, rate_hz: float | None) -> i
     require_present_layout(info)
     print_doubts(info)
     with BagWriter(folder) as bag:
-        convert_recording(info, bag, prefix, 0.0 if rate_hz is None else 1.0 / rate_hz)
+        document = ConfigDocument.read(info.path)
+        arms = load_ros_arms(document, document.load(RunConfig).arms)
+        period_s = 0.0 if rate_hz is None else 1.0 / rate_hz
+        converter = BagConverter(bag, info.session, prefix, period_s, arms)
+        for recorded in read_messages(info.path):
+            converter(recorded)
     total = sum(bag.counts.values())
     print(f"wrote {folder}: {total} messages on {len(bag.counts)} topics, {info.seconds:.1f} s")
     return 0

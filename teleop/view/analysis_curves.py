@@ -55,20 +55,15 @@ def _write_panels(path: Path, name: str, columns: Sequence[Sequence[PlotPanel]])
             for j, panel in enumerate(panels):
                 views.append((i, rrb.TimeSeriesView(origin=f"{i}/{j}", name=panel.title)))
                 for k, curve in enumerate(panel.curves):
-                    _send_curve(stream, f"{i}/{j}/{k}", curve)
+                    entity = f"{i}/{j}/{k}"
+                    line = rr.SeriesLines(colors=curve.colour, widths=WIDTH, names=curve.name)
+                    stream.log(entity, line, static=True)
+                    times = rr.TimeColumn(TIMELINE, duration=curve.time)
+                    values = rr.Scalars.columns(scalars=curve.values)
+                    stream.send_columns(entity, [times], values)
         stream.send_blueprint(_build_layout(views, len(columns)))
         stream.flush()
         stream.disconnect()
-
-
-def _send_curve(stream: rr.RecordingStream, path: str, curve: PlotCurve) -> None:
-    line = rr.SeriesLines(colors=curve.colour, widths=WIDTH, names=curve.name)
-    stream.log(path, line, static=True)
-    stream.send_columns(
-        path,
-        [rr.TimeColumn(TIMELINE, duration=curve.time)],
-        rr.Scalars.columns(scalars=curve.values),
-    )
 
 
 def _build_layout(views: list[tuple[int, rrb.TimeSeriesView]], columns: int) -> rrb.Blueprint:

@@ -78,7 +78,10 @@ def divert_stderr(path: Path) -> Iterator[Path]:
     `sys.stderr` keeps writing to where it did. Where no folder can be made, the file is in that of
     temporary files.
     """
-    path = _find_writable_path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        path = Path(tempfile.gettempdir()) / f"{os.getuid()}-{path.name}"
     if path.exists() and path.stat().st_size > _SIZE_MAX:
         path.unlink()
     sys.stderr.flush()
@@ -96,14 +99,6 @@ def divert_stderr(path: Path) -> Iterator[Path]:
         os.dup2(terminal, _STDERR)
         os.close(terminal)
         os.close(log)
-
-
-def _find_writable_path(path: Path) -> Path:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return Path(tempfile.gettempdir()) / f"{os.getuid()}-{path.name}"
-    return path
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

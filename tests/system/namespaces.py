@@ -26,20 +26,8 @@ def require_namespaces() -> None:
     if made.returncode:
         pytest.skip(f"no network namespace can be made here: {made.stderr.strip()} (not root?)")
     try:
-        cable = [
-            "ip",
-            "-n",
-            probe,
-            "link",
-            "add",
-            "name",
-            "end1",
-            "type",
-            "veth",
-            "peer",
-            "name",
-            "end2",
-        ]
+        cable = ["ip", "-n", probe, "link", "add", "name", "end1"]
+        cable += ["type", "veth", "peer", "name", "end2"]
         joined = subprocess.run(cable, check=False, capture_output=True, text=True)
         if joined.returncode:
             pytest.skip(f"no veth pair can be made here: {joined.stderr.strip()}")

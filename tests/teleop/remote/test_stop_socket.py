@@ -138,28 +138,21 @@ def refuse_to_bind(monkeypatch):
     monkeypatch.setattr(stop_socket, "_bind_socket", fail)
 
 
-def test_a_stop_is_sent_though_no_answer_can_be_received(monkeypatch):
-    with StopSocket("s", "master") as one, StopSocket("s", "slave") as two:
-        refuse_to_bind(monkeypatch)
-        master, slave = Side(one, "master"), Side(two, "slave")
-        assert stop(reason="smoke") == {"master": "silent", "slave": "silent"}
-        for side in (master, slave):
-            side.tick()
-            assert (side.state, side.reasons) == ("stopped", ["smoke"])
-
-
 @pytest.mark.parametrize(
     ("found", "code"), [({"master": "stopped"}, 0), ({}, 1), ({"master": "engaged"}, 1)]
 )
-def test_a_stop_without_answers_is_confirmed_over_the_network_only(monkeypatch, found, code):
+def test_a_stop_is_sent_though_no_answer_can_be_received_but_over_the_network(
+    monkeypatch, found, code
+):
     monkeypatch.setattr(stop_over_link, "request_over_link", lambda *_: found)
     with StopSocket("s", "master") as own:
         refuse_to_bind(monkeypatch)
         side = Side(own, "master")
         with running(side):
-            assert commands.main(["stop", "--set", "session=s"]) == code
+            assert commands.main(["stop", "--why", "smoke", "--set", "session=s"]) == code
         side.tick()
     assert side.state == "stopped"
+    assert set(side.reasons) == {"smoke"}
 
 
 def test_another_session_is_not_stopped():
