@@ -41,6 +41,7 @@ def test_neither_a_secure_nor_an_insecure_side_accepts_the_other_and_both_say_so
     config, monkeypatch
 ):
     monkeypatch.setattr(network, "PROBE_PERIOD_S", 0.1)
+    monkeypatch.setattr(network, "OPEN_MS", 500)
     for slaves, masters, text in (
         (config, insecure(config), "it is secure, and this side is not (link.insecure)"),
         (insecure(config), config, "no answer in TLS"),
