@@ -10,9 +10,7 @@ from estimator.array_types import Array
 from estimator.diagnosis import cause_selection, outcome
 from estimator.diagnosis.baseline import (
     choose_law,
-    compute_simple_gains,
     fit_baseline,
-    fit_simple_models,
     select_applicable_effects,
 )
 from estimator.diagnosis.bench_units import compute_bench_scale, to_bench_units, to_record_units
@@ -21,6 +19,7 @@ from estimator.diagnosis.causes import (
     FINAL_ROUNDS,
     RESTART_PROGRESS,
     CauseSearch,
+    CauseSearchResult,
     find_causes,
 )
 from estimator.diagnosis.curve import estimate_curve
@@ -70,6 +69,12 @@ from estimator.diagnosis.scoring import (
     join_errors,
 )
 from estimator.diagnosis.settings import SETTINGS, ProgressCallback, TimeBudget, ignore_progress
+from estimator.diagnosis.simple_models import (
+    compute_simple_gains,
+    explain_foreign_data,
+    fit_simple_models,
+    is_plain_mechanism,
+)
 from estimator.diagnosis.validation import (
     compute_detection_limits,
     compute_file_force,
@@ -359,7 +364,8 @@ def diagnose_records(
         dataset, base_fit = _recover_dataset_motion(dataset, refit_baseline(dataset, base_fit))
     law = Choice(dataset, base_fit, ())
     errors = compute_errors(dataset, base_fit)
-    has_law = compute_missed_share(dataset, errors) < SETTINGS.foreign_share_law
+    is_plain = is_plain_mechanism(dataset, errors)
+    has_law = compute_missed_share(dataset, errors) < SETTINGS.foreign_share_law and not is_plain
     if has_law and (records[0].loop or not is_noise(dataset, errors)):
         report("choosing the base law", 0.0)
         law = choose_law(dataset, base_fit, workers)
@@ -368,7 +374,10 @@ def diagnose_records(
         laws.append(law._replace(dataset=dataset, fit=base_fit))
     budget = TimeBudget(time_limit * len(records), read_work_clock)
     search = CauseSearch(effects, budget, report, workers)
-    result, law = find_causes(laws, search, fit_all=fit_all)
+    if is_plain:
+        result = CauseSearchResult(law, dataset, base_fit, [], [], base_fit)
+    else:
+        result, law = find_causes(laws, search, fit_all=fit_all)
     report("fitting again and testing", RESTART_PROGRESS)
     dataset, base_fit, steps, fit = result.dataset, result.base_fit, result.steps, result.fit
     applicable = select_applicable_effects(effects, records[0], dataset.base)
@@ -433,15 +442,19 @@ def _build_diagnosis(
     is_noise_after = is_noise(dataset, errors_after)
     has_function = bool(steps) and steps[-1].effect.function is not None
     is_drifting = not (is_noise_after or has_function) and has_drifting_friction(dataset, fit)
-    missed_share = compute_missed_share(dataset, errors_after)
     verdict = decide_verdict(
         steps,
         residual_fraction,
         is_noise_before=is_noise(dataset, errors_before),
         is_noise_after=is_noise_after,
         is_drifting=is_drifting,
-        is_foreign=missed_share > SETTINGS.foreign_share_max,
     )
+    simple_models, learned_models = fit_simple_models(dataset), fit_learned_models(folds)
+    foreign_reason = explain_foreign_data(
+        dataset, final_fit, errors_after, simple_models, is_open=verdict is Verdict.UNEXPLAINED
+    )
+    if foreign_reason:
+        verdict = Verdict.UNEXPLAINED
     free_names = {effect.name for effect, _ in final_fit.model.effects if effect.function}
     fitted_values = {
         item.name: FittedValue(item.value, item.low, item.high, item.parameter.unit, item.at_bound)
@@ -456,7 +469,6 @@ def _build_diagnosis(
         dataset, final_base_fit, transferred_fit, validation_records
     )
     equivalents = [(step.effect.name, *step.rivals) for step in steps if step.rivals]
-    simple_models, learned_models = fit_simple_models(dataset), fit_learned_models(folds)
     return Diagnosis(
         verdict=verdict,
         steps=tuple(steps),
@@ -474,7 +486,7 @@ def _build_diagnosis(
         noise=compute_mean_noise(dataset),
         residual_fraction=residual_fraction,
         has_drifting_friction=is_drifting,
-        foreign_share=missed_share if missed_share > SETTINGS.foreign_share_max else 0.0,
+        foreign_reason=foreign_reason,
         simple_models=simple_models,
         simple_gain=compute_simple_gains(errors_after, simple_models),
         learned_models=learned_models,

@@ -191,7 +191,6 @@ def decide_verdict(
     is_noise_before: bool,
     is_noise_after: bool,
     is_drifting: bool,
-    is_foreign: bool = False,
 ) -> Verdict:
     """Return how a diagnosis ends.
 
@@ -205,11 +204,7 @@ def decide_verdict(
         Whether the base law alone, or the law with the causes, leaves no more than noise.
     is_drifting : bool
         Whether the causes leave friction that drifts.
-    is_foreign : bool
-        Whether the data are of no such transmission: the model with them misses most of it.
     """
-    if is_foreign:
-        return Verdict.UNEXPLAINED
     if not steps:
         return Verdict.CLEAN if is_noise_before else Verdict.UNEXPLAINED
     is_large = residual_fraction > SETTINGS.unexplained_fraction_max
@@ -266,7 +261,7 @@ class Diagnosis(NamedTuple):
     noise: dict[str, float]
     residual_fraction: float  # of the error beyond noise, what the extended model leaves
     has_drifting_friction: bool  # friction changes with time, and not as the causes say
-    foreign_share: float  # of a channel's rms about its mean that the best model misses; or 0
+    foreign_reason: str  # why the data are of no tendon in a sheath; empty if they may be
     laws: Choice  # of the base law
     loads: Choice  # of what the tips of several files pull at
     simple_models: tuple[SimpleFit, ...]  # that know no sheath, fitted to the same data

@@ -6,11 +6,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from estimator.diagnosis import report_tables
-from estimator.diagnosis.baseline import LUGRE
 from estimator.diagnosis.curve import describe_curve
 from estimator.diagnosis.dataset import (
-    FRICTION,
-    FRICTION_FORCE,
     TIP_COMPLIANCE,
     compute_tolerance,
 )
@@ -34,6 +31,7 @@ from estimator.diagnosis.report_tables import (
     name_judged_samples,
 )
 from estimator.diagnosis.settings import SETTINGS
+from estimator.diagnosis.simple_models import LUGRE
 from estimator.effects import CATALOGUE, Effect, Parameter
 from estimator.effects.effect import CHANNELS, DISTAL_DISPLACEMENT, DISTAL_TENSION, PROXIMAL_TENSION
 from estimator.effects.functions import find_function
@@ -46,11 +44,9 @@ UNSURE_CAUSES_SHOWN = 3  # causes in a sentence, none of them sure
 
 def format_headline(diagnosis: Diagnosis) -> str:
     """Return the verdict in a few words, without names of the catalogue."""
-    if diagnosis.foreign_share:
-        return "This is not a tendon-sheath transmission."
+    if diagnosis.foreign_reason:
+        return f"This is not a tendon-sheath transmission: {diagnosis.foreign_reason}."
     if diagnosis.verdict is Verdict.CLEAN:
-        if is_frictionless(diagnosis):
-            return "Nothing is wrong beyond noise, and nothing of a sheath is seen: no friction."
         return "Nothing is wrong beyond noise."
     if diagnosis.verdict is Verdict.CHARACTERISED and diagnosis.curve is not None:
         return f"No named cause: {describe_curve(diagnosis.curve, diagnosis.units)}."
@@ -59,18 +55,7 @@ def format_headline(diagnosis: Diagnosis) -> str:
     causes = [f"{step.effect.cause}{_format_size(diagnosis, step)}" for step in diagnosis.steps]
     count = ("One thing is", "Two things are", "Three things are")[min(len(causes), 3) - 1]
     ambiguity = ", or what looks the same" * (diagnosis.verdict is Verdict.AMBIGUOUS)
-    sheath = "Nothing of a sheath is seen, no friction that grows with the tension. "
-    remark = sheath * is_frictionless(diagnosis)
-    return f"{remark}{count} wrong: {', and '.join(causes)}{ambiguity}."
-
-
-def is_frictionless(diagnosis: Diagnosis) -> bool:
-    """Return whether the base law found no friction, as of a plain spring: no sheath is seen."""
-    peak = max(float(np.abs(r.signals[PROXIMAL_TENSION]).max()) for r in diagnosis.dataset.records)
-    names = {FRICTION.name: 1.0, FRICTION_FORCE.name: peak}
-    found = {n: number for n, number in diagnosis.parameters.items() if n in names}
-    shares = [number.value / names[name] for name, number in found.items()]
-    return bool(shares) and max(shares) < SETTINGS.friction_share_min
+    return f"{count} wrong: {', and '.join(causes)}{ambiguity}."
 
 
 def _format_size(diagnosis: Diagnosis, step: CauseStep) -> str:
@@ -109,14 +94,11 @@ def format_verdict(diagnosis: Diagnosis) -> str:
     """Return the verdict in one sentence."""
     if diagnosis.verdict is Verdict.CLEAN:
         smallest = _describe_detection_limits(diagnosis.detection_limits)
-        sheath = " No friction is seen: of a plain spring the data would look the same."
-        remark = sheath * is_frictionless(diagnosis)
-        return f"Nothing is wrong with the model beyond noise{smallest}.{remark}"
-    if diagnosis.foreign_share:
+        return f"Nothing is wrong with the model beyond noise{smallest}."
+    if diagnosis.foreign_reason:
         return (
             f"This is not a tendon-sheath transmission, or the columns are not what they are taken "
-            f"for: the best model of one misses {diagnosis.foreign_share:.0%} of a tension's "
-            f"changes; {_describe_dependence(diagnosis)}."
+            f"for: {diagnosis.foreign_reason}; {_describe_dependence(diagnosis)}."
         )
     if diagnosis.verdict is Verdict.UNEXPLAINED:
         if diagnosis.has_drifting_friction:

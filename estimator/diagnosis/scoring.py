@@ -1,7 +1,7 @@
 """Errors of models on held-out samples, and how significantly one model beats another."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -92,7 +92,9 @@ def concatenate_errors(parts: Sequence[ChannelErrors]) -> ChannelErrors:
     )
 
 
-def compute_log_likelihood_ratio(a: dict[str, ChannelErrors], b: dict[str, ChannelErrors]) -> float:
+def compute_log_likelihood_ratio(
+    a: Mapping[str, ChannelErrors], b: Mapping[str, ChannelErrors]
+) -> float:
     """Return the log-likelihood ratio of held-out data under `a` to that under `b`.
 
     Each channel's own mean square stands for its variance, so that neither its unit nor an error of
@@ -111,7 +113,7 @@ def compute_log_likelihood_ratio(a: dict[str, ChannelErrors], b: dict[str, Chann
     return total
 
 
-def bootstrap_superiority(a: dict[str, ChannelErrors], b: dict[str, ChannelErrors]) -> float:
+def bootstrap_superiority(a: Mapping[str, ChannelErrors], b: Mapping[str, ChannelErrors]) -> float:
     """Return the share of bootstrapped records in which `a` is better than `b`.
 
     Bins are paired, and drawn in blocks as long as the difference remembers.
@@ -178,7 +180,7 @@ def bootstrap_gain(a: ChannelErrors, b: ChannelErrors) -> IntervalEstimate:
     return IntervalEstimate(value, float(low), float(high))
 
 
-def compute_missed_share(dataset: Dataset, errors: dict[str, ChannelErrors]) -> float:
+def compute_missed_share(dataset: Dataset, errors: Mapping[str, ChannelErrors]) -> float:
     """Return the rms error beyond noise over the channel's rms about its mean, at worst.
 
     Of the tensions, which any transmission must pass on; a tip that is held hardly moves.
@@ -217,13 +219,13 @@ def has_localised_misfit(dataset: Dataset, base_fit: Fit) -> bool:
     return peak > SETTINGS.localised_share * total
 
 
-def is_noise(dataset: Dataset, errors: dict[str, ChannelErrors]) -> bool:
+def is_noise(dataset: Dataset, errors: Mapping[str, ChannelErrors]) -> bool:
     """Return whether errors are no larger than noise and the simulation's own error."""
     return is_within_tolerance(dataset, errors, SETTINGS.noise_ratio)
 
 
 def is_within_tolerance(
-    dataset: Dataset, errors: dict[str, ChannelErrors], ratio_max: float
+    dataset: Dataset, errors: Mapping[str, ChannelErrors], ratio_max: float
 ) -> bool:
     """Return whether errors are below `ratio_max` times those of noise and of a simulation."""
     tolerance = compute_tolerance(dataset)

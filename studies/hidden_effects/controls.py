@@ -1,0 +1,245 @@
+"""Count how records that are of no tendon in a sheath end: none may have a confident cause.
+
+    python -m studies.hidden_effects.controls --seeds 1 2
+    python -m studies.hidden_effects.controls --seeds 1 2 --tendons
+
+With `--tendons` every effect of the catalogue, at both sizes, on each bench and with the housing's
+channels alone too, is asked the same before any cause is searched: how far K is above the least,
+and how much a mechanism without a sheath leaves. Half a second of a processor each.
+
+Each mechanism with and without a load cell at its end, 30 s at 50 Hz, 0.02 N and 0.5 um of noise;
+of odd seeds the motion is a sine, of even ones two of them. A record takes 5 to 60 s of a
+processor.
+"""
+
+import itertools
+import time
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import lsim
+
+from estimator.diagnosis import report_text
+from estimator.diagnosis.api import diagnose_records
+from estimator.diagnosis.baseline import fit_baseline
+from estimator.diagnosis.bench_units import compute_bench_scale, to_bench_units
+from estimator.diagnosis.dataset import build_dataset
+from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.record import RecordError, prepare_record
+from estimator.diagnosis.simple_models import PLAIN_MECHANISMS, fit_simple_models
+from studies import hidden_effects
+from studies.testbed.command import parse_options
+
+RATE, DURATION = 50.0, 30.0
+NOISE = {"tension": 0.02, "displacement": 5e-7}
+REFUSED = "refused"
+
+
+class Motion(NamedTuple):
+    """The motor's motion."""
+
+    time: np.ndarray  # [s]
+    travel: np.ndarray  # [m]
+    speed: np.ndarray  # [m/s]
+    acceleration: np.ndarray  # [m/s2]
+
+
+def move_motor(rng, *, sine):
+    """Return a random motion from a sine, or from two of them."""
+    t = np.arange(round(RATE * DURATION)) / RATE
+    q, v, a = np.zeros((3, len(t)))
+    for share in (1.0,) if sine else (1.0, 0.6):
+        w = 2.0 * np.pi * rng.uniform(0.2, 0.7)
+        amplitude, phase = share * rng.uniform(2e-3, 5e-3), rng.uniform(0.0, 2.0 * np.pi)
+        q += amplitude * np.sin(w * t + phase)
+        v += amplitude * w * np.cos(w * t + phase)
+        a -= amplitude * w * w * np.sin(w * t + phase)
+    return Motion(t, q - q.min(), v, a)
+
+
+# --- tension at the motor and at the end of a mechanism [N]; stiffness is about 2 N/mm
+
+
+def _pull_spring(motion, rng):
+    end = 3.0 + rng.uniform(1500.0, 3000.0) * motion.travel
+    return end, end
+
+
+def _pull_damped_spring(motion, rng):
+    tension, _ = _pull_spring(motion, rng)
+    return tension + rng.uniform(30.0, 100.0) * (motion.speed + np.abs(motion.speed).max()), tension
+
+
+def _pull_hardening_spring(motion, rng):
+    end = 3.0 + 2000.0 * motion.travel * (1.0 + rng.uniform(0.2, 1.0) * motion.travel / 8e-3)
+    return end, end
+
+
+def _pull_softening_spring(motion, rng):
+    end = 3.0 + 2.5e3 * motion.travel / (1.0 + rng.uniform(0.2, 0.6) * motion.travel / 8e-3)
+    return end, end
+
+
+def _turn_geared_joint(motion, rng):
+    """A joint with inertia and friction behind a gear with play; effort of either sign."""
+    q = motion.travel - motion.travel.mean()
+    play = rng.uniform(1e-4, 5e-4)
+    joint = np.empty_like(q)
+    held = q[0]
+    for i, x in enumerate(q):
+        held = min(max(held, x - play), x + play)
+        joint[i] = held
+    load = 2000.0 * joint
+    friction = rng.uniform(1.0, 3.0) * np.tanh(motion.speed / 1e-4)
+    return load + friction + 0.5 * motion.acceleration, load
+
+
+def _pull_damper(motion, rng):
+    end = 12.0 + rng.uniform(400.0, 800.0) * motion.speed
+    return end - end.min() + 1.0, end - end.min() + 1.0
+
+
+def _swing_mass(motion, rng):
+    """A mass that hangs; the travel counts as the refusal of the other sign says."""
+    tension = rng.uniform(1.0, 3.0) * (9.81 - 60.0 * motion.acceleration)
+    return tension - tension.min() + 1.0, tension - tension.min() + 1.0
+
+
+def _pull_rubbing_cable(motion, rng):
+    """Dry friction that no tension changes, risen to over 20 um."""
+    tension, _ = _pull_spring(motion, rng)
+    z, friction = 0.0, np.empty_like(tension)
+    for i, step in enumerate(np.diff(motion.travel, prepend=motion.travel[0])):
+        z = min(max(z + step, -2e-5), 2e-5)
+        friction[i] = z / 2e-5
+    return tension + rng.uniform(1.0, 2.5) * (1.0 + friction), tension
+
+
+def _swing_on_cable(motion, rng):
+    """A load of 1 kg that swings on a spring of 300 N/m."""
+    w = np.sqrt(300.0 / 1.0)
+    system = ([w * w], [1.0, 2.0 * rng.uniform(0.02, 0.1) * w, w * w])
+    position = lsim(system, motion.travel, motion.time)[1]
+    tension = 300.0 * (motion.travel - position)
+    return tension - tension.min() + 2.0, tension - tension.min() + 2.0
+
+
+def _read_broken_cell(motion, rng):
+    end = np.full_like(motion.travel, rng.uniform(3.0, 20.0))
+    return end, end
+
+
+def _wander(motion, rng):
+    walks = np.cumsum(rng.standard_normal((2, len(motion.time))), axis=1)
+    return tuple(walk - walk.min() + 1.0 for walk in 0.3 * walks)
+
+
+def _read_unrelated(motion, rng):
+    other, third = (move_motor(rng, sine=False).travel for _ in range(2))
+    return 1.0 + 2000.0 * other, 1.0 + 2000.0 * third
+
+
+CONTROLS = {
+    "spring": _pull_spring,
+    "damped spring": _pull_damped_spring,
+    "hardening spring": _pull_hardening_spring,
+    "softening spring": _pull_softening_spring,
+    "geared joint with play": _turn_geared_joint,
+    "damper": _pull_damper,
+    "mass": _swing_mass,
+    "cable with friction of any load": _pull_rubbing_cable,
+    "load that swings": _swing_on_cable,
+    "broken load cell": _read_broken_cell,
+    "random walk": _wander,
+    "unrelated signals": _read_unrelated,
+}
+
+
+def make_control(name, seed, *, tip):
+    """Return the times and the noisy channels of a mechanism, with a cell at its end if `tip`."""
+    rng = np.random.default_rng([seed, *name.encode()])
+    motion = move_motor(rng, sine=seed % 2 == 1)
+    proximal, distal = CONTROLS[name](motion, rng)
+    channels = {"proximal_tension": proximal, "proximal_displacement": motion.travel}
+    channels |= {"distal_tension": distal} if tip else {}
+    return motion.time, {
+        channel: y + NOISE[channel.partition("_")[2]] * rng.standard_normal(len(y))
+        for channel, y in channels.items()
+    }
+
+
+class Result(NamedTuple):
+    """What is said of a mechanism."""
+
+    verdict: str
+    said: str
+
+    @property
+    def right(self):
+        """Whether no cause is named, and no sheath either."""
+        return self.verdict in (REFUSED, Verdict.UNEXPLAINED, Verdict.CHARACTERISED)
+
+
+def judge(name, seed, *, tip):
+    """Make a record, diagnose it, and return what came of it."""
+    stamps, channels = make_control(name, seed, tip=tip)
+    try:
+        found = diagnose_records([prepare_record(stamps, channels)])
+    except RecordError as error:
+        return Result(REFUSED, str(error))
+    return Result(found.verdict, report_text.format_verdict(found))
+
+
+def judge_tendon(made, channels):
+    """Return K of the base law, and the least error a mechanism leaves, in squares of the noise."""
+    record = prepare_record(made.time, channels)
+    dataset = build_dataset([to_bench_units(record, compute_bench_scale([record]))])
+    mechanisms = fit_simple_models(dataset, PLAIN_MECHANISMS)
+    left = min(m.held_out["proximal_tension"].mean_square for m in mechanisms)
+    return fit_baseline(dataset).model.shared[0], left
+
+
+def judge_tendons(seeds):
+    """Print what would first be taken for no tendon among records of tendons."""
+    found = []
+    for seed, name, size in itertools.product(seeds, ("", *hidden_effects.EFFECTS), (1.0, 0.5)):
+        for bench in hidden_effects.VISIBLE.get(name, ("blocked", "spring")):
+            made = hidden_effects.make(
+                seed, (name,) if name else (), size=size, bench=bench, duration=DURATION,
+                rate=RATE, travel_noise=NOISE["displacement"],
+            )  # fmt: skip
+            every = dict(made.channels)
+            housing = {key: y for key, y in every.items() if key.startswith("proximal")}
+            case = name or "clean", bench, size, seed
+            found += [(*judge_tendon(made, channels), *case) for channels in (every, housing)]
+    print(f"{len(found)} records; of least K:", *min(found))
+    print("of least error of a mechanism (noise is 1):", *min(found, key=lambda item: item[1]))
+
+
+def main():
+    """Judge every mechanism, and print what is said."""
+    options = parse_options(
+        __doc__, seeds=((1, 2), "of the records"), tendons=(False, "judge tendons instead")
+    )
+    if options.tendons:
+        judge_tendons(options.seeds)
+        return
+    counts = Counter()
+    for name in CONTROLS:
+        for tip in (False, True):
+            for seed in options.seeds:
+                begin = time.process_time()
+                result = judge(name, seed, tip=tip)
+                counts[result.right] += 1
+                print(
+                    f"{name}, {'two cells' if tip else 'one cell'}, {seed}: {result.verdict}"
+                    f"{'' if result.right else ' WRONG'} ({time.process_time() - begin:.0f} s): "
+                    f"{result.said}",
+                    flush=True,
+                )
+    print(f"{counts[True]} of {sum(counts.values())} name no cause and no sheath")
+
+
+if __name__ == "__main__":
+    main()
