@@ -43,7 +43,7 @@ class Bilateral(NamedTuple):
     @property
     def signature(self) -> int:
         """Non-zero hash of these settings; each side sends its own."""
-        return zlib.crc32(repr(self).encode()) or 1
+        return _compute_signature(self)
 
 
 class BilateralSettings(Struct):
