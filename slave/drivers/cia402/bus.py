@@ -87,6 +87,7 @@ NMT, SDO = 0x000, 0x600  # commands to nodes, requests to them
 LISTEN_S = 0.15  # [s] for another controller, which sends SYNC at 10 Hz at least
 QUEUE_S = 0.010  # [s] in which a queue of frames must have room; our watchdog is 40 ms
 RETRY_S = 0.0002
+ROUND_S = 0.05  # [s] after which the reader of SDO answers may end; a start waits for that
 
 Send = Callable[..., None]
 Receive = Callable[..., can.Message | None]
@@ -102,6 +103,7 @@ class ClaimedBus(NamedTuple):
     def connect(self) -> canopen.Network:
         """Return a network for SDO requests; the monitor takes its frames, too."""
         network = canopen.Network(self.bus)
+        network.NOTIFIER_CYCLE = ROUND_S
         network.listeners.append(self.monitor)  # type: ignore[arg-type]
         return network.connect()
 
