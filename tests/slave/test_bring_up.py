@@ -200,19 +200,6 @@ def test_nothing_moves_without_the_typed_word(monkeypatch, capsys, typed, moves)
 
 
 @pytest.mark.usefixtures("clock")
-def test_motors_are_enabled_where_they_are_after_the_question(monkeypatch):
-    rig = Wired()
-    monkeypatch.setattr(command, "open_rig", lambda *_: rig)
-
-    def turned_meanwhile(_question):
-        rig.position = rig.start = rig.start + 0.0015
-        return "move"
-
-    assert command.check_rig(arguments(), turned_meanwhile) == 0
-    assert rig.writes[0] == pytest.approx(rig.start, abs=1e-9)
-
-
-@pytest.mark.usefixtures("clock")
 @pytest.mark.parametrize(("displacement", "place"), [(-0.0175, "-17.5000"), (0.0613, "61.3000")])
 def test_a_motor_that_has_lost_turns_is_named_and_nothing_is_moved(
     monkeypatch, capsys, displacement, place

@@ -132,12 +132,6 @@ def test_as_built_must_be_asked_for_and_is_for_simulated_rigs_alone(tmp_path):
         SlaveConfig(rig=ReplayedRigConfig(file=tmp_path / "x.csv"), calibration="as-built")
 
 
-def test_a_file_that_fits_gives_the_models(tmp_path):
-    config = SlaveConfig(rig=SIMULATED, calibration=saved(tmp_path, replace(WHOLE, rig="bench")))
-    assert find_not_ready_reason(config, BENCH) == ""
-    assert load_tendon_configs(config, 2) == (EVEN, UNEVEN)
-
-
 def test_a_file_that_does_not_fit_bars_the_rig_and_says_why(tmp_path):
     config = SlaveConfig(rig=SIMULATED, calibration=saved(tmp_path))
     said = find_not_ready_reason(config, BENCH)

@@ -64,17 +64,6 @@ def test_a_stuck_cell_is_found_once_the_motor_moves(at):
     assert not judged(values, AT_REST, total(0.01, 0.002)).any()
 
 
-@pytest.mark.parametrize(("noise", "resolution"), [(0.03, 0.0), (0.01, 0.01)])
-@pytest.mark.parametrize("at", [1300])
-def test_a_stuck_cell_is_found_too_where_the_model_has_no_noise(at, noise, resolution):
-    values = readings(3.0 + 0.1 * np.sin(np.arange(N) * 0.003), noise, resolution)
-    values[at:] = values[at]
-    found = judged(values, TO_AND_FRO, 0.0)
-    assert not found[: at + 90].any()
-    assert np.isin(found[at + 110 :], [STUCK, SATURATED]).all()
-    assert not judged(values, AT_REST, 0.0).any()
-
-
 @pytest.mark.parametrize("resolution", [0.002, 0.1])
 def test_where_the_model_has_no_noise_a_load_that_changed_is_not_taken_for_noise(resolution):
     """Rising, swinging, hovering between two steps; then the same for as long while it moves."""
