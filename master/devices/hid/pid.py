@@ -51,8 +51,16 @@ class PidConfig(RangedConfig):
     damper: float = build_ranged_field(0.0, 0.0, 1.0)
 
 
+class _Effect(NamedTuple):
+    """An effect in the device's memory, and the reports that start and stop it."""
+
+    block: int
+    start: bytes
+    stop: bytes
+
+
 class _ConstantForce(NamedTuple):
-    """A constant force in the device's memory."""
+    """What a constant force is pushed by."""
 
     zero: bytes  # Set Constant Force without a magnitude
     bits: int  # the same as a little-endian number
@@ -144,11 +152,14 @@ class PidDriver:
             (bits | (scale_share(share, full) & mask) << offset).to_bytes(len(zero), "little")
             for (zero, bits, full), share in zip(self._pushes, force, strict=False)
         ]
-        if self._conditions and not any(abs(share) > 0.0 for share in force):
-            reports += self._condition_stops
-        elif self._conditions and arm:
-            reports += self._condition_starts
-        return (*reports, *self._starts) if arm else tuple(reports)
+        conditions = self._effects[len(self.forces) :]
+        if not any(abs(share) > 0.0 for share in force):
+            reports += [effect.stop for effect in conditions]
+        elif arm:
+            reports += [effect.start for effect in conditions]
+        if arm:
+            reports += [effect.start for effect in self._effects[: len(self.forces)]]
+        return tuple(reports)
 
     def silence(self) -> tuple[bytes, ...]:
         """Return zero magnitudes, a stop for each effect, and a stop for the device.
@@ -156,27 +167,24 @@ class PidDriver:
         All of them, as each firmware ignores some.
         """
         zeros = [push.zero for push in self._pushes]
-        return (*zeros, *self._stops, *self._condition_stops, *self._frees, *self._off)
+        stops = [effect.stop for effect in self._effects]
+        part = self._layout.block_free
+        frees = [_build_block_report(part, effect.block) for effect in self._effects if part]
+        return (*zeros, *stops, *frees, *self._off)
 
     def _forget(self) -> None:
-        self._blocks: list[int] = []
+        self._effects: list[_Effect] = []  # those of `forces`, then spring and damper
         self._pushes: list[_ConstantForce] = []
-        self._starts: list[bytes] = []
-        self._stops: list[bytes] = []
-        self._condition_starts: list[bytes] = []
-        self._condition_stops: list[bytes] = []
-        self._frees: list[bytes] = []
 
     def _create(self, device: ReportAccess, usage: int) -> int:
-        block = create_effect(self._layout, device, usage, self._blocks)
-        self._blocks.append(block)
-        self._frees += build_free_reports(self._layout, block)
+        ours = [effect.block for effect in self._effects]
+        block = create_effect(self._layout, device, usage, ours)
+        start = build_start_report(self._layout, block)
+        self._effects.append(_Effect(block, start, build_stop_report(self._layout, block)))
         return block
 
     def _add_force(self, device: ReportAccess, axis: str) -> None:
         block = self._create(device, U.CONSTANT_FORCE)
-        self._starts.append(build_start_report(self._layout, block))
-        self._stops.append(build_stop_report(self._layout, block))
         zero = build_zero_force_report(self._layout, block)
         device.write(build_effect_report(self._layout, U.CONSTANT_FORCE, block, axis))
         device.write(zero)
@@ -191,8 +199,6 @@ class PidDriver:
         away) unless the parameters come first; other firmware needs the effect first.
         """
         block = self._create(device, usage)
-        self._condition_starts.append(build_start_report(self._layout, block))
-        self._condition_stops.append(build_stop_report(self._layout, block))
         effect = build_effect_report(self._layout, usage, block, self._layout.forces[0])
         device.write(effect)
         for report in build_condition_reports(self._layout, block, share):
@@ -346,11 +352,6 @@ def build_start_report(layout: PidLayout, block: int) -> bytes:
 def build_stop_report(layout: PidLayout, block: int) -> bytes:
     """Return the report that stops an effect."""
     return _build_block_report(layout.operation, block, layout.operation.choose(U.OP_STOP))
-
-
-def build_free_reports(layout: PidLayout, block: int) -> tuple[bytes, ...]:
-    """Return the report that frees an effect, if the device has one."""
-    return (_build_block_report(layout.block_free, block),) if layout.block_free is not None else ()
 
 
 def _build_block_report(part: ReportPart, block: int, *choices: FieldValue) -> bytes:
