@@ -1,5 +1,6 @@
 """The haptic device interface."""
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -29,6 +30,12 @@ class DeviceFault(Exception):
 
 class DeviceLost(DeviceFault):
     """The device is unplugged; reads may continue and succeed once it is back."""
+
+
+def require_force(force: Axes, axes: int) -> None:
+    """Raise `DeviceFault` unless a device of so many axes can be given this force."""
+    if len(force) != axes or not all(map(math.isfinite, force)):
+        raise DeviceFault(f"refuses force {force}")
 
 
 class Device(Protocol):

@@ -13,7 +13,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from typing import Literal
 
-from master.device import Axes, Device, DeviceFault, DeviceLost, HandState
+from master.device import Axes, Device, DeviceFault, DeviceLost, HandState, require_force
 from master.devices.extension import DeviceExtension
 from master.devices.hid.input_map import HidConfig
 from master.devices.ros_device import RosDeviceConfig
@@ -131,8 +131,7 @@ class CombinedDevice:
 
     def write(self, force: Axes) -> None:
         """Write each device its part of `force` [N]; if one fails, the others get zero."""
-        if len(force) != self.axes:
-            raise DeviceFault(f"refuses force {force}")
+        require_force(force, self.axes)
         faults: list[DeviceFault] = []
         for number, (device, part) in enumerate(zip(self._devices, self._parts, strict=True)):
             try:

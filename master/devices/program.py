@@ -18,7 +18,7 @@ from typing import Literal
 
 import numpy as np
 
-from master.device import Axes, DeviceFault, DeviceLost, HandState
+from master.device import Axes, DeviceFault, DeviceLost, HandState, require_force
 from master.devices.commands import SIZE, CommandMotion, CommandRecord
 from teleop.config.ranges import RangedConfig, build_ranged_field
 from teleop.errors import TeleopError, UsageError
@@ -86,8 +86,7 @@ class ProgramDevice:
 
     def write(self, force: Axes) -> None:
         """Send the force with the answer to the newest command."""
-        if len(force) != self.axes or not all(map(math.isfinite, force)):
-            raise DeviceFault(f"program: refuses force {force}")
+        require_force(force, self.axes)
         if self._wants_force:
             self._wants_force = False
             with suppress(OSError):  # a program that does not read, or has ended: `read` tells

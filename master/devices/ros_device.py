@@ -5,7 +5,6 @@ name, until the node sends `disable`.
 """
 
 import json
-import math
 import os
 import subprocess
 import time
@@ -14,7 +13,7 @@ from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from typing import Literal
 
-from master.device import Axes, DeviceFault, DeviceLost, HandState
+from master.device import Axes, DeviceFault, DeviceLost, HandState, require_force
 from master.devices.commands import SIZE, CommandMotion, CommandRecord
 from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.messages.messages import MAX_JOINTS
@@ -136,8 +135,7 @@ class RosDevice:
 
     def write(self, force: Axes) -> None:
         """Check the force, which nobody feels."""
-        if len(force) != self.axes or not all(map(math.isfinite, force)):
-            raise DeviceFault(f"ROS device: refuses force {force}")
+        require_force(force, self.axes)
 
     def close(self) -> None:
         """End the receiver."""

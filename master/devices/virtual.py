@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from master.device import Axes, DeviceFault, HandState
+from master.device import Axes, HandState, require_force
 from teleop.config.ranges import MAY_BE_INFINITE, build_ranged_field, check_ranges
 
 # --- reference motions of a scripted hand: position and velocity as functions of time
@@ -226,8 +226,7 @@ class VirtualDevice:
 
     def write(self, force: Axes) -> None:
         """Hold `force` from now on, until the next write or the watchdog."""
-        if len(force) != self.axes or not all(map(math.isfinite, force)):
-            raise DeviceFault(f"virtual device: refuses force {force}")
+        require_force(force, self.axes)
         self._force = tuple(force)
         self._written = self._time
 

@@ -1,5 +1,7 @@
 """Several devices as one: order of axes, switches, faults, closing, and what is refused."""
 
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -162,9 +164,9 @@ def test_a_failed_write_leaves_no_force_on_the_others():
     assert left.written[-1] == right.written[-1] == (0.0,)
 
 
-def test_a_force_of_another_size_is_refused_and_not_split():
+def test_a_force_that_cannot_be_is_refused_and_not_split():
     left, right = Stylus(1), Stylus(1)
-    for force in ((), (1.0,), (1.0, 2.0, 3.0)):
+    for force in ((), (1.0,), (1.0, 2.0, 3.0), (1.0, math.nan)):
         with pytest.raises(DeviceFault, match="refuses"):
             combined(left, right).write(force)
     assert left.written == right.written == []

@@ -106,32 +106,27 @@ def test_a_heavy_device_is_kept_from_falling_at_rest_but_not_in_a_stop():
     assert run.answered(hand(stop=True)).force == (0.0,)
 
 
-def test_the_force_scale_of_a_device_is_that_of_the_tips_not_of_walls_and_weight():
-    def press(scale):
-        device = CombinedConfig(force_scales=(scale, 1.0))
-        operator = replace(WALLS, weight=(0.4,), wall_damping=0.0)
-        run = Run(replace(CONFIG, device=device, operator=operator)).engaged()
-        for _ in range(400):
-            run.answered(hand(0.052))
-        return run.output.force[0], float(run.memory.joint_force[0])
+def press(scale, config, force=5.0):
+    """Return the force in a hand that presses, and that of the joints, of a scaled device."""
+    device = CombinedConfig(force_scales=(scale, 1.0))
+    run = Run(replace(config, device=device)).engaged()
+    for _ in range(400):
+        run.answered(hand(0.052), force=force)
+    return run.output.force[0], float(run.memory.joint_force[0])
 
-    assert press(1.0) == pytest.approx((-1.0 - 0.6 + 0.4, -1.0), abs=1e-6)
-    assert press(0.25) == pytest.approx((-0.25 - 0.6 + 0.4, -1.0), abs=1e-6)
+
+def test_the_force_scale_of_a_device_is_that_of_the_tips_not_of_walls_and_weight():
+    config = replace(CONFIG, operator=replace(WALLS, weight=(0.4,), wall_damping=0.0))
+    assert press(1.0, config) == pytest.approx((-1.0 - 0.6 + 0.4, -1.0), abs=1e-6)
+    assert press(0.25, config) == pytest.approx((-0.25 - 0.6 + 0.4, -1.0), abs=1e-6)
 
 
 def test_a_scaled_device_counts_no_more_force_than_the_slave_renders():
     """The slave limits its forces to those of an unscaled device."""
-
-    def press(scale):
-        device = CombinedConfig(force_scales=(scale, 1.0))
-        run = Run(replace(CONFIG, device=device)).engaged()
-        for _ in range(400):
-            run.answered(hand(), force=1000.0)
-        return run.output.force[0], float(run.memory.joint_force[0])
-
     limit = CONFIG.force.limit
-    assert press(1.0) == pytest.approx((-limit, -limit), abs=1e-6)
-    assert press(0.25) == pytest.approx((-0.25 * limit, -limit), abs=1e-6)
+    for scale in (1.0, 0.25):
+        found = press(scale, CONFIG, force=1000.0)
+        assert found == pytest.approx((-scale * limit, -limit), abs=1e-6)
 
 
 def test_forces_of_its_own_are_no_work_of_the_coupling():

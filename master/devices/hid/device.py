@@ -1,13 +1,12 @@
 """A HID haptic device with the interface of `master.device.Device`."""
 
-import math
 import os
 import threading
 from collections import Counter
 from collections.abc import Callable
 from typing import NamedTuple
 
-from master.device import Axes, DeviceFault, DeviceLost, HandState
+from master.device import Axes, DeviceFault, DeviceLost, HandState, require_force
 from master.devices.hid import force_signs, input_map, search
 from master.devices.hid.connection import DeviceConnection
 from master.devices.hid.driver_table import INPUTS_ONLY, PID, AttachedNode
@@ -245,8 +244,7 @@ class HidDevice:
 
     def write(self, force: Axes) -> None:
         """Render `force` [N] until the next write; no effect while the device is unplugged."""
-        if len(force) != self.axes or not all(map(math.isfinite, force)):
-            raise DeviceFault(f"refuses force {force}")
+        require_force(force, self.axes)
         if self._opened is not None:
             self._opened.device.post(input_map.to_force_shares(self._opened.plan, force))
 
