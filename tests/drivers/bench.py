@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 
+from slave.drivers.cia402.config import BusConfig, Cia402Config
 from slave.drivers.dynamixel.config import DynamixelConfig
 from slave.drivers.microcontroller.config import MicrocontrollerConfig
 from slave.rigs.hardware import (
@@ -37,6 +38,11 @@ def rig_config(motors, cells=None, count: int = 1, scale=NEWTONS, uncertainty=No
 
 def microcontroller(port: str, **settings) -> MicrocontrollerConfig:
     return MicrocontrollerConfig(port=port, **PATIENT | settings)
+
+
+def cia402(port: str, **settings) -> Cia402Config:
+    bus = BusConfig(interface="slcan", channel=port, tty_wait=0.0)
+    return Cia402Config(bus=bus, **{"rate_hz": 50.0} | PATIENT | settings)
 
 
 def dynamixel(port: str, **settings) -> DynamixelConfig:

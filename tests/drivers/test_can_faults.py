@@ -18,7 +18,7 @@ from slave.drivers.cia402.monitor import BusMonitor, find_interface_fault
 from slave.drivers.driver import Channels, DriverFault
 from studies.rigs.models.drives import Drives, SlcanAdapter
 from studies.rigs.models.line import PseudoPort
-from tests.drivers.bench import running
+from tests.drivers.bench import cia402, running
 
 NO_ACKNOWLEDGE = "no node acknowledges frames: are the drives powered and connected, bit rate"
 
@@ -66,13 +66,8 @@ def drives():
     drives.bus.shutdown()
 
 
-def config_on(port_name, **settings):
-    bus = BusConfig(interface="slcan", channel=port_name, tty_wait=0.0)
-    return Cia402Config(bus=bus, **{"rate_hz": 50.0, "timeout": 0.5} | settings)
-
-
 def reader(port_name, numbers=(1,)):
-    return contextlib.closing(Cia402Reader(config_on(port_name), Channels(numbers, numbers, True)))
+    return contextlib.closing(Cia402Reader(cia402(port_name), Channels(numbers, numbers, True)))
 
 
 def start_error(port_name, numbers=(1,)):
@@ -97,6 +92,7 @@ def test_a_node_that_is_alive_but_does_not_answer_is_told_from_one_that_is_not_t
 
 def test_two_nodes_of_one_number_are_named_by_every_command(drives, monkeypatch):
     monkeypatch.setattr(bring_up, "NODE_NUMBER_MAX", 3)
+    monkeypatch.setattr(bring_up, "ANSWER_S", 0.5)  # a busy machine holds the drives up
     send = drives.bus.send
 
     def send_twice(message, timeout=None):
@@ -104,7 +100,7 @@ def test_two_nodes_of_one_number_are_named_by_every_command(drives, monkeypatch)
         if message.arbitration_id == 0x581:
             send(message, timeout)
 
-    config = config_on(drives.port_name)
+    config = cia402(drives.port_name)
     (line,) = driver_table.scan(config)
     assert line == "node 1: model of a drive, profile 402, switch on disabled"
     drives.bus.send = send_twice
@@ -152,7 +148,7 @@ def abort(drives, wanted, code):
 
 def test_a_mapping_that_is_refused_is_named_by_its_object_and_bits(drives):
     abort(drives, bytes.fromhex("001a02"), 0x06040041)
-    driver = Cia402Driver(config_on(drives.port_name), Channels((1,), ()))
+    driver = Cia402Driver(cia402(drives.port_name), Channels((1,), ()))
     with pytest.raises(DriverFault) as fault, contextlib.closing(driver):
         driver.start()
     assert str(fault.value) == (
@@ -321,7 +317,7 @@ def test_an_error_number_of_the_system_is_told_with_the_next_step(monkeypatch, e
 
 
 def test_silence_while_running_is_told_with_the_reason(drives):
-    driver = Cia402Driver(config_on(drives.port_name), Channels((1,), ()))
+    driver = Cia402Driver(cia402(drives.port_name), Channels((1,), ()))
     with contextlib.closing(driver):
         driver.start()
         driver.run_cycle(None)

@@ -50,6 +50,7 @@ from teleop.remote.request_listener import CALL, RESET
 from teleop.runtime.clock import EventClock
 from teleop.session.state_machine import Reason, State
 from tests.drivers.bench import (
+    cia402,
     engage,
     follow,
     opened,
@@ -74,8 +75,7 @@ def drives():
 
 
 def config_on(drives, **settings):
-    bus = BusConfig(interface="slcan", channel=drives.port_name, tty_wait=0.0)
-    return Cia402Config(bus=bus, **{"rate_hz": 50.0, "timeout": 0.5} | settings)
+    return cia402(drives.port_name, **settings)
 
 
 def opened_on(drives, count=2, **settings):
