@@ -243,6 +243,7 @@ class _Screening:
         J[:, ~ParameterLayout(dataset, fit.model).is_smooth] = 0.0
         self._solve = np.linalg.pinv(J)
         self._basis = np.linalg.qr(J)[0] if J.any() else np.zeros((len(J), 1))
+        self._smoothed: dict[int, _Screened] = {}  # by the identity of their steps
 
     def compute_score(self, fit: Fit, degrees: float) -> float:
         """Return the log-likelihood ratio of held-out samples to the model without, less BIC's."""
@@ -329,6 +330,11 @@ class _Screening:
 
     def smooth(self, step: _LinearStep) -> _Screened:
         """Return the smoothness that held-out samples favour, and where its step leads."""
+        if id(step) not in self._smoothed:
+            self._smoothed[id(step)] = self._find_smoothness(step)
+        return self._smoothed[id(step)]
+
+    def _find_smoothness(self, step: _LinearStep) -> _Screened:
         effect, shapes, term = step.effect, step.shapes, step.effect.function
         power = float(np.trace(step.information)) / COEFFICIENTS
         mean = math.sqrt(MEAN_WEIGHTS[bool(term and term.has_zero)] * power)
