@@ -64,7 +64,7 @@ def test_the_force_is_right_with_the_function_and_inside_its_interval(name, seed
     channel = "proximal_displacement" if "position" in name else "proximal_tension"
     x = data.channels[channel]
     share = (x - x.min()) / np.ptp(x) if "position" in name else x / x.max()
-    pair = fitted(name, x, hidden_effects.free_curves.on_curve(**truth, share=share))
+    pair = fitted(name, x, hidden_effects.free_curves.evaluate_curve(**truth, share=share))
     more, _ = built(data, pair)
     assert rms_error(more, data) < 0.5 * rms_error(built(data, None)[0], data)
     found, tip = estimated(more, data), data.channels["distal_tension"]
