@@ -128,7 +128,11 @@ def read_table(
     path: Path | str,
     columns: Columns | None = None,
     drop_nonfinite: bool = False,
-    **options: Unpack[ReadOptions],
+    *,
+    zero_errors: Collection[str] = (),
+    diagnosed: bool = False,
+    units: Units | None = None,
+    mapping: TableMapping | None = None,
 ) -> MeasuredTable:
     """Read and check the samples of one tendon.
 
@@ -157,6 +161,9 @@ def read_table(
     UsageError
         The file or its content is invalid.
     """
+    options = ReadOptions(
+        zero_errors=zero_errors, diagnosed=diagnosed, units=units, mapping=mapping
+    )
     return read_tables(Path(path), (columns or Columns(),), drop_nonfinite, **options)[0]
 
 
