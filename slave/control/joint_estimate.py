@@ -172,4 +172,5 @@ def estimate_joints(
         joint = out_estimates[j]
         joint.position, joint.status = position, status
         joint.force, joint.low, joint.high = force, low, high
-        joint.margin = force - adapted_low if force > 0.0 else adapted_high - force
+        margin = force - adapted_low if force > 0.0 else adapted_high - force
+        joint.margin = 0.0 if margin < 0.0 else margin  # by rounding; NaN stays, renders nothing

@@ -348,6 +348,14 @@ def test_the_force_on_a_joint_is_the_difference_of_its_tendons_and_so_is_its_int
     assert alone.position == a.displacement - a.estimate.elongation
 
 
+def test_rounding_of_the_ends_of_an_adapted_force_does_not_make_its_margin_negative():
+    """A negative margin is invalid: such a force would not be rendered."""
+    a = tendon(force=(4.0, 3.0, 6.0))
+    for end, margin in ((3.0, 1.0), (np.nextafter(4.0, 5.0), 0.0), (math.nan, math.nan)):
+        a.estimate.adapted_low = a.estimate.adapted_high = end
+        assert joint_estimate([a]).margin == pytest.approx(margin, abs=0.0, nan_ok=True)
+
+
 @given(travel=metres, e=st.tuples(st.floats(0.0, 5e-3), st.floats(0.0, 5e-3)))
 def test_two_tendons_that_agree_tell_the_travel_of_their_joint_whatever_they_weigh(travel, e):
     start = [tendon(5.0, 2e-4, 2e-4), tendon(5.0, 3e-4, 1e-4)]  # 0 and 2e-4: 1e-4 too much each
