@@ -19,7 +19,7 @@ from estimator.calibration.calibration import (
 )
 from estimator.calibration.drag import fit_friction_sum
 from slave.calibration.calibration_file import TendonCalibration
-from slave.calibration.config import InitialiseConfig, get_known_sheath
+from slave.calibration.config import InitialiseConfig, get_known_range, get_known_sheath
 from slave.calibration.procedure_log import ProcedureData
 from slave.calibration.procedure_run import CalibrationRefused
 from slave.calibration.procedure_state import Phase
@@ -193,9 +193,10 @@ def _compute_joint_range(
             f"{name}: tendon a measured {ranges[0] * 1e3:.1f} mm of travel between the stops, "
             f"tendon b {ranges[1] * 1e3:.1f} mm: a tendon slipped or is caught; check both"
         )
-    expected = earlier_range if config.range is None else config.range
+    known_range = get_known_range(config, pulled[0].joint)
+    expected = earlier_range if known_range is None else known_range
     if expected is not None and abs(travel - expected) > config.range_error * expected:
-        source = "by the earlier calibration" if config.range is None else "slave.initialise.range"
+        source = "by the earlier calibration" if known_range is None else "slave.initialise.range"
         raise CalibrationRefused(
             f"{name}: it travels {travel * 1e3:.1f} mm between its stops, expected "
             f"{expected * 1e3:.1f} mm ({source}): the tip touches something or a stop has moved; "

@@ -22,8 +22,8 @@ class InitialiseConfig:
 
     at_start: bool = False  # run the quick procedure whenever the slave starts
     sheaths: tuple[KnownSheathConfig, ...] = ()  # one for each tendon, or one for all
-    # travel of every joint between its stops, where it is known
-    range: float | None = build_ranged_field(None, 1e-3, 10.0, "m")
+    # travel between the stops, where it is known: of every joint, or a list with one for each
+    range: float | tuple[float, ...] | None = build_ranged_field(None, 1e-3, 10.0, "m")
     # allowed relative deviation of the measured range
     range_error: float = build_ranged_field(0.05, 0.001, 1.0, "of the range")
     # upper end of each loop, against the stop
@@ -89,3 +89,8 @@ def compute_compliance_limit(config: InitialiseConfig, tendon: int) -> float:
     if sheath.axial_stiffness is None:
         return config.compliance_max
     return 1.5 * sheath.length / sheath.axial_stiffness
+
+
+def get_known_range(config: InitialiseConfig, joint: int) -> float | None:
+    """Return the known travel of one joint [m], if any; the count was checked before."""
+    return config.range[joint] if isinstance(config.range, tuple) else config.range

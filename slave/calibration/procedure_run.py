@@ -435,6 +435,11 @@ def validate_limits(rig: Rig, limits: ProcedureLimits) -> None:
             f"slave.initialise.sheaths: {len(config.sheaths)} sheaths, but the rig has "
             f"{rig.tendons} tendons"
         )
+    if isinstance(config.range, tuple) and len(config.range) != len(rig.joints):
+        raise UsageError(
+            f"slave.initialise.range: {len(config.range)} entries, but the rig has "
+            f"{len(rig.joints)} joints"
+        )
     for name, limit_name, unit in (
         ("tension", "tension_max", "N"),
         ("seek_speed", "speed_max", "m/s"),

@@ -1,6 +1,7 @@
 """What the analysis finds on simulated sheaths, against the numbers these were made of."""
 
 import math
+from contextlib import nullcontext
 from functools import cache
 
 import pytest
@@ -127,6 +128,19 @@ def test_a_stop_that_comes_too_early_is_refused_where_the_range_is_known():
     said = r"joint 1: it travels 20\.\d mm between its stops, expected 30.0 mm"
     with pytest.raises(CalibrationRefused, match=said):
         analyse_procedure(blocked, but(QUICK, range=RANGE))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("travel", "refused"),
+    [((RANGE, RANGE / 2), None), (None, None), ((RANGE, RANGE), "joint 2"),
+     (RANGE / 2, "joint 1")],
+)  # fmt: skip
+def test_a_known_range_may_differ_between_joints(travel, refused):
+    both = calibrated(rig_config(joint(), SPRING), QUICK, rate_hz=250.0).record
+    with pytest.raises(CalibrationRefused, match=refused) if refused else nullcontext():
+        results = analyse_procedure(both, but(QUICK, range=travel))
+        assert [r.range for r in results] == pytest.approx([RANGE, RANGE / 2], rel=0.02)
 
 
 @pytest.mark.slow

@@ -292,6 +292,7 @@ class Watched(HousingOnly):
         (QUICK, GateConfig(tension_max=15.0), "slave.initialise.tension: 20 N is over slave.gate"),
         (QUICK, GateConfig(speed_max=0.01), "seek_speed: 0.02 m/s is over slave.gate.speed_max"),
         (but(QUICK, sheaths=QUICK.sheaths * 3), GATE, "sheaths: 3 sheaths, but the rig has 2"),
+        (but(QUICK, range=(0.03, 0.03)), GATE, "range: 2 entries, but the rig has 1"),
     ],
 )
 def test_a_config_that_cannot_be_is_refused(initialise, gate, said):
