@@ -300,9 +300,8 @@ class Link:
                 self._blame_rival(listen)
             raise
         if self.credentials is not None:
-            self._connections: Any = session.info.declare_link_events_listener(
-                self._on_connection, history=True
-            )
+            direct = zenoh.handlers.Callback(self._on_connection, indirect=False)
+            self._connections: Any = session.info.declare_link_events_listener(direct, history=True)
         return session
 
     def _blame_rival(self, endpoints: list[str]) -> None:

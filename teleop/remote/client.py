@@ -1,6 +1,7 @@
 """A running session from Python: its messages as values or arrays, and requests to it."""
 
 import argparse
+import atexit
 import json
 import time
 from collections.abc import Collection, Iterator
@@ -311,8 +312,10 @@ class SessionClient:
     def _connect(self) -> None:
         link = Link(self._config.link, self._config.session, Role.REMOTE).__enter__()
         self._connection, self._heard_s = _Connection(link, link.listen((EVENT,))), time.monotonic()
+        atexit.register(self._disconnect)  # of a program that does not
 
     def _disconnect(self) -> None:
+        atexit.unregister(self._disconnect)
         connection, self._connection = self._connection, None
         if connection is not None:
             connection.link.__exit__(None, None, None)

@@ -331,3 +331,13 @@ def test_another_program_joins_it(session):
             other.wait_for("engagd")
         with pytest.raises(UsageError, match="allowed are command, state"):
             next(other.blocks(topic="forces"))
+
+
+def test_a_program_that_does_not_leave_it_ends_all_the_same(session):
+    words = [
+        sys.executable,
+        "-c",
+        f"import teleop; teleop.join_session({session.name!r}).__enter__()",
+    ]
+    run = subprocess.run(words, check=False, timeout=30, capture_output=True, text=True)
+    assert (run.returncode, run.stderr) == (0, "")
