@@ -57,7 +57,8 @@ def test_real_time_scheduling_is_tried_and_put_back(monkeypatch):
     ("findings", "code", "verdict"),
     [
         ([Finding("a", True, "fine")], 0, "Ready"),
-        ([Finding("a", True, "fine"), Finding("b", False, "slow", "hurry")], 0, "Ready"),
+        ([Finding("a", True, "fine"), Finding("b", False, "none", "plug")], 0, "Ready: teleop run"),
+        ([Finding("c", False, "slow", "hurry", delays=True)], 0, "Ready, but forces may be late"),
         ([Finding("a", False, "old", "renew", essential=True)], 1, "Not ready"),
     ],
 )
