@@ -219,12 +219,13 @@ def _search_on_law(law: Choice, search: CauseSearch, fit_all: bool) -> CauseSear
 def _search_with_recovered_motion(
     result: CauseSearchResult, search: CauseSearch
 ) -> CauseSearchResult:
-    """Return the causes found with the hidden motion that a cause had masked, if there is any."""
+    """Return the causes found with hidden motion that a cause had masked, if they are better."""
     if _is_explained(result) or (recovered := _recover_motion_beside_cause(result)) is None:
         return result
     if not search.budget.has_time("motion that a cause hides"):
         return result
-    return _find_causes_stepwise(result.loads, *recovered, search)
+    moved = _find_causes_stepwise(result.loads, *recovered, search)
+    return moved if _compute_evidence(moved, result) > 0.0 else result
 
 
 def _search_in_odd_file(result: CauseSearchResult, search: CauseSearch) -> CauseSearchResult:
@@ -384,7 +385,7 @@ def _restart_from_other_cause(result: CauseSearchResult, search: CauseSearch) ->
     is_accepted = result.steps or is_within_tolerance(
         dataset, restarted.errors, SETTINGS.tolerance_ratio_max
     )
-    is_better = len(restarted.steps) > 1 and is_accepted
+    is_better = (len(restarted.steps) > 1 or _is_explained(restarted)) and is_accepted
     return restarted if is_better and _compute_evidence(restarted, result) > 0.0 else result
 
 

@@ -144,7 +144,10 @@ def fit_candidates(
     ]
     law_errors = compute_errors(subsampled, subsampled_fit)
     if is_foreign_data(subsampled, [law_errors]):
+        # what happened at one time makes a law of all samples wrong: its starts do not tell
+        later_starts = models[FOREIGN_STARTS:]
         models = models[:FOREIGN_STARTS]
+        models += [model for model in later_starts if model.effects[-1][0] in sudden]
     best: list[Candidate] = []
     progress_begin = SCREENING_PROGRESS
     for rounds, kept_count, cost_ratio_max, progress_end in zip(
@@ -164,9 +167,9 @@ def fit_candidates(
             for candidate in best
             if candidate.cost < cost_ratio_max * best[0].cost
         ]
-        if is_foreign_data(subsampled, (law_errors, *(candidate.held_out for candidate in best))):
-            models = []
-            break
+    # by the last of these fits: the first ones still fall
+    if is_foreign_data(subsampled, (law_errors, *(candidate.held_out for candidate in best))):
+        models = []
 
     def fit_cheapest(starts: Iterable[Model]) -> Candidate:
         return min(

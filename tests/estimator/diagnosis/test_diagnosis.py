@@ -5,9 +5,14 @@ import pytest
 
 from estimator.diagnosis import record
 from estimator.diagnosis.api import diagnose_records
+from estimator.diagnosis.baseline import fit_baseline, select_applicable_effects
+from estimator.diagnosis.bench_units import compute_bench_scale, to_bench_units
+from estimator.diagnosis.dataset import build_dataset
 from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import RecordError, prepare_record
-from estimator.diagnosis.settings import SETTINGS
+from estimator.diagnosis.scoring import compute_errors, is_foreign_data
+from estimator.diagnosis.screening import fit_candidates
+from estimator.diagnosis.settings import SETTINGS, ignore_progress
 from estimator.effects import CATALOGUE, NAMES
 from studies import hidden_effects
 
@@ -202,3 +207,25 @@ def test_a_slip_while_the_tendon_slides_is_not_taken_for_a_tip_that_moved():
     truth = made.truth["encoder_slip"]
     assert found.parameters["encoder_slip.slip"].value == pytest.approx(truth["slip"], rel=0.05)
     assert found.parameters["encoder_slip.onset"].value == pytest.approx(truth["time"], abs=0.03)
+
+
+FAR = {"duration": 30.0, "rate": 50.0, "travel_noise": 5e-7, "bench": "blocked"}
+
+
+def test_a_tip_that_moved_far_is_a_candidate_where_the_law_misses_most():
+    made = hidden_effects.make(960, "tip_moved", **FAR)
+    ready = prepare_record(made.time, dict(made.channels))
+    dataset = build_dataset([to_bench_units(ready, compute_bench_scale([ready]))])
+    law = fit_baseline(dataset)
+    assert is_foreign_data(dataset, [compute_errors(dataset, law)])
+    effects = select_applicable_effects(CATALOGUE, ready, dataset.base)
+    best = fit_candidates(dataset, law, effects, ignore_progress)[0]
+    assert best.effect.name == "tip_moved"
+    assert not is_foreign_data(dataset, [best.held_out])
+
+
+@pytest.mark.slow
+def test_a_tip_that_moved_far_is_named():
+    made = hidden_effects.make(2101, "tip_moved", **FAR)
+    found = diagnose_records([prepare_record(made.time, dict(made.channels))])
+    assert (found.verdict, found.causes) == (Verdict.NAMED, ("tip_moved",))
