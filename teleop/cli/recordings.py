@@ -5,7 +5,8 @@
   teleop recordings to-lerobot a.mcap b.mcap --out pegs --task "put the peg in"   LeRobotDataset
   teleop recordings to-ros2 run.mcap --out bag                 ros2 bag, named as by teleop ros
 
-The recordings are only read. `teleop recordings WORK --help` explains the columns and frames.
+What is in a recording: `teleop data show run.mcap`. Recordings are only read. `teleop recordings
+WORK --help` explains the columns and frames.
 """
 
 import argparse
