@@ -16,6 +16,8 @@ from pathlib import Path
 
 _FOLDER_NAME = "tendon-teleop"
 _ENVIRONMENT_VARIABLE = "NUMBA_CACHE_DIR"
+# numba, when imported with colorama, colours texts of errors that it drops: a seventh of compiling
+os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 
 
 def choose_folder() -> Path | None:

@@ -24,7 +24,8 @@ from numba.core import types  # noqa: E402
 from numba.core.codegen import JITCodeLibrary  # noqa: E402
 from numba.core.compiler import Compiler, CompileResult, compile_result  # noqa: E402
 from numba.core.registry import CPUDispatcher  # noqa: E402
-from numba.extending import lower_cast  # noqa: E402
+from numba.extending import lower_cast, overload  # noqa: E402
+from numba.np import arrayobj  # noqa: E402
 
 from estimator.function_cache import FunctionCache  # noqa: E402
 
@@ -37,6 +38,22 @@ with suppress(AttributeError):  # a llvmlite that keeps this elsewhere is only s
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+
+def _refuse_shape(_source: Any, _target: Any) -> None:
+    """Raise the error of an array that is assigned to a slice of another shape."""
+
+
+@overload(_refuse_shape)
+def _raise_constant(_source: Any, _target: Any) -> Callable[[Any, Any], None]:
+    def refuse(_source: Any, _target: Any) -> None:
+        raise ValueError("an array is assigned to a slice of another shape")
+
+    return refuse
+
+
+# numba would compile, in every process, what formats both shapes: 30 functions of strings, 4 s
+arrayobj.raise_with_shape_context = _refuse_shape
 
 # Without the entry for calls from C, which nobody makes: a sixth of the time that compiling takes.
 _OPTIONS: dict[str, Any] = {

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numba.core.caching import NullCache
@@ -45,3 +46,16 @@ def test_a_records_array_and_a_literal_need_no_version_of_their_own():
     assert found == (9.0, 16.0, 31.0)
     assert len({str(signature[0]) for signature in weigh.part.signatures}) == 1
     assert {str(signature[1]) for signature in weigh.part.signatures} == {"int64"}
+
+
+@jit_compile
+def write_slice(target, source):
+    target[1:3] = source
+
+
+def test_a_slice_takes_no_array_of_another_shape():
+    target = np.zeros(4)
+    with pytest.raises(ValueError, match="a slice of another shape"):
+        write_slice(target, np.ones(3))
+    write_slice(target, np.ones(2))
+    assert target.tolist() == [0.0, 1.0, 1.0, 0.0]
