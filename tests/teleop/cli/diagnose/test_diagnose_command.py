@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 
 from studies import hidden_effects
 from teleop.cli import commands
@@ -238,3 +239,33 @@ def test_words_that_cannot_be_right_are_refused_before_anything_is_fitted(csv, t
     strange.write_text("base: {K: 1}\n")
     assert f"{strange}: base: unknown key" in refused("diagnose", csv, "--calibration", strange)
     assert "--column x" in refused("diagnose", csv, "--column", "x")
+
+
+def test_the_curves_of_residuals_are_measured_signals_and_both_models(report, folder, data):
+    found = read_curves(folder / "out" / "residuals.rrd")
+    assert {name for name, _ in found.values()} == {"measured", "before", "after"}
+    # a column of panels for each file, for each channel its curves and its residuals
+    assert len(found) == 2 * len(COMPARED) * (3 + 2)
+    measured, before, after = (found[f"/0/0/{k}"] for k in range(3))
+    assert [name for name, _ in (measured, before, after)] == ["measured", "before", "after"]
+    assert np.isin(measured[1], data.channels["proximal_tension"]).all()
+    for k, (_, model) in enumerate((before, after)):
+        name, residual = found[f"/0/1/{k}"]
+        assert name == ("before", "after")[k]
+        np.testing.assert_allclose(residual, measured[1] - model, atol=1e-12)
+    of_tip = [float(np.std(found[f"/0/3/{k}"][1])) for k in range(2)]
+    assert of_tip[1] < 0.95 * of_tip[0]  # the gain that was hidden is of the tip's cell
+
+
+def read_curves(path):
+    """Return the name and the values of each entity, by Rerun's own reader."""
+    names, values = {}, {}
+    for chunk in RrdReader(path).stream():
+        table = chunk.to_record_batch()
+        for column in table.schema.names:
+            if column.endswith("SeriesLines:names"):
+                names[chunk.entity_path] = table[column][0].as_py()[0]
+            if column.endswith("Scalars:scalars"):
+                values[chunk.entity_path] = [x for row in table[column] for x in row.as_py()]
+    assert set(names) == set(values)
+    return {entity: (names[entity], np.array(values[entity])) for entity in names}
