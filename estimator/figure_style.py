@@ -8,12 +8,12 @@ import io
 import re
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from typing import Any, NamedTuple
-
-import matplotlib as mpl
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from estimator.report_table import Table
+
+if TYPE_CHECKING:  # matplotlib takes long to load, and not every command draws
+    from matplotlib.figure import Figure
 
 _WORD_LENGTH = 12  # [letters] that stay together in a cell
 
@@ -41,19 +41,23 @@ class DrawnFigure(NamedTuple):
     """A figure of a report."""
 
     name: str
-    figure: Figure
+    figure: "Figure"
     caption: str
 
 
 def use_style() -> AbstractContextManager[None]:
     """Return a context in which figures are drawn in this style."""
-    return mpl.rc_context(STYLE)
+    from matplotlib import rc_context
+
+    return rc_context(STYLE)
 
 
-def to_svg(figure: Figure, *, cut: bool = False) -> str:
+def to_svg(figure: "Figure", *, cut: bool = False) -> str:
     """Return a figure as an SVG element, `cut` to what is drawn; the same text for the same."""
+    from matplotlib import rc_context
+
     text = io.StringIO()
-    with mpl.rc_context({**STYLE, "svg.hashsalt": "tendon-teleop", "svg.fonttype": "path"}):
+    with rc_context({**STYLE, "svg.hashsalt": "tendon-teleop", "svg.fonttype": "path"}):
         figure.savefig(
             text,
             format="svg",
@@ -81,14 +85,14 @@ def _format_cell(text: str) -> str:
     return html.escape(marked).replace("\0", "<wbr>")
 
 
-def format_html_figure(figure: Figure, caption: str) -> str:
+def format_html_figure(figure: "Figure", caption: str) -> str:
     """Return a figure for a page, as inline SVG."""
     words = html.escape(caption)
     return f"<figure>{to_svg(figure)}<figcaption>{words}</figcaption></figure>"
 
 
 def format_html_report(
-    title: str, tables: Sequence[Table], figures: Sequence[tuple[Figure, str]]
+    title: str, tables: Sequence[Table], figures: Sequence[tuple["Figure", str]]
 ) -> str:
     """Return a report for a notebook: a sentence, tables, and figures with their captions."""
     parts = [f"<p><b>{html.escape(title)}</b></p>", *map(format_html_table, tables)]

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize_scalar
 
 from estimator.array_types import Array
 from estimator.calibration.blocked_loop import validate_signals
@@ -151,6 +150,8 @@ def _simulate(T_in: Array, K: float) -> tuple[Array, Array]:
 
 def _search_friction(cost: Callable[[float], float]) -> float:
     """Return the K of least cost, each start searched between its neighbours."""
+    from scipy.optimize import minimize_scalar  # here: a command's help needs no scipy
+
     edges = (1e-3, *STARTS, _K_MAX)
     minima = [
         minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-6})

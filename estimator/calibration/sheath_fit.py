@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from estimator import noise_treatment
 from estimator.array_types import Array
@@ -206,6 +205,8 @@ def _require_blocked_tip(data: MeasuredData, loop: slice) -> None:
 
 def find_first_loop(tension: Array) -> slice:
     """Return the samples of the highest pull and the release behind it, what follows left out."""
+    from scipy.ndimage import median_filter  # here: a command's help needs no scipy
+
     smooth = median_filter(tension, SMOOTHING_WINDOW, mode="nearest")
     peak = int(np.argmax(smooth))
     turn = TURN_SHARE * smooth[peak]

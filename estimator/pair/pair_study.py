@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import t as student
 
 from estimator.array_types import Array, Mask
 from estimator.fitting import IntervalEstimate, build_interval, minimise_squares
@@ -291,7 +290,9 @@ def _fit_fixed_share(records: Sequence[PairRecord]) -> float:
 
 
 def _compute_interval(value: float, error: float, count: int) -> IntervalEstimate:
-    reach = float(student.ppf(0.5 + 0.5 * CONFIDENCE, count - 1)) * error
+    from scipy.special import stdtrit  # here: a command's help needs no scipy
+
+    reach = float(stdtrit(count - 1, 0.5 + 0.5 * CONFIDENCE)) * error
     return build_interval(value, reach, 0.0)
 
 

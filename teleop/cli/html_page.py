@@ -6,13 +6,15 @@ import io
 import math
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from estimator.figure_style import format_html_table, use_style
 from estimator.report_table import Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # --- values as JSON has them: no records, no numpy types, nothing that is not finite
 
@@ -100,7 +102,7 @@ class Page:
             self.add_text(text)
         self.add_table(table, mark)
 
-    def add_figure(self, figure: Figure, caption: str) -> None:
+    def add_figure(self, figure: "Figure", caption: str) -> None:
         """Add a figure of Matplotlib as an image."""
         image = io.BytesIO()
         with use_style():

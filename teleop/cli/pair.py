@@ -27,6 +27,7 @@ from estimator.pair import report_text
 from estimator.pair.pair_fit import PairError
 from estimator.pair.pair_model import PairRecord
 from estimator.pair.pair_study import PairStudy, analyse_residuals, compute_offset_share, study_pair
+from teleop.cli.html_page import Page, to_json_values
 from teleop.config.loading import load
 from teleop.config.options import add_options
 from teleop.data.file_formats import read_columns
@@ -206,8 +207,6 @@ def _parse_column(raw: RawTable, config: PairConfig, item: str, mapping: TableMa
 
 def build_report(study: PairStudy, seconds: float) -> dict[str, Any]:
     """Return the report; `seconds` is what the study took."""
-    from teleop.cli.html_page import to_json_values  # with matplotlib, which takes long
-
     report = {
         "sentence": report_text.format_sentence(study),
         "bends": [record.bend for record in study.records],
@@ -239,7 +238,6 @@ def build_report(study: PairStudy, seconds: float) -> dict[str, Any]:
 def render(study: PairStudy, readings: Sequence[Mapping[str, Any]] = ()) -> str:
     """Return the page; `readings` are how the files were read."""
     from estimator.pair.figures import draw_figures  # with matplotlib, which takes long
-    from teleop.cli.html_page import Page
 
     friction, loops, residuals = draw_figures(study)
     page = Page(report_text.format_sentence(study))

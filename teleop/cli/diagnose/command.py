@@ -23,20 +23,8 @@ residuals.rrd (docs/how-to/diagnose.md). The exit code is 0 for any diagnosis.
 import argparse
 from pathlib import Path
 
-from estimator.diagnosis import report_text
 from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.travel_diagnosis import is_travel_pair
-from teleop.cli.diagnose import arm, batch, json_report, travels
-from teleop.cli.diagnose.diagnosis_run import (
-    check_options,
-    diagnose_files,
-    parse_effects,
-    parse_noise,
-    read_files,
-    write_report,
-)
 from teleop.config.options import TABLE_OPTIONS, add_option, add_options
-from teleop.data.read_summary import format_read_summaries, format_read_summary
 from teleop.runtime.output_file import OutputFolder, make_folder
 from teleop.runtime.parallel import count_processors
 from teleop.runtime.process import write_summary
@@ -125,25 +113,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Diagnose and report; returns the exit code."""
-    effects = parse_effects(args.effects)
-    check_options(args, effects)
+    # here: they take a second to load, which the command's help does not need
+    from estimator.diagnosis import report_text
+    from estimator.diagnosis.travel_diagnosis import is_travel_pair
+    from teleop.cli.diagnose import arm, batch, diagnosis_run, json_report, travels
+    from teleop.data.read_summary import format_read_summaries, format_read_summary
+
+    effects = diagnosis_run.parse_effects(args.effects)
+    diagnosis_run.check_options(args, effects)
     if args.jobs is not None:
         return batch.run(args)
     if arm.is_of_arm(args):
-        return arm.run(args, parse_noise(args.noise))
+        return arm.run(args, diagnosis_run.parse_noise(args.noise))
     if args.supplement is not None:
         make_folder(args.supplement, "supplement.html")
-    data = read_files(args)
+    data = diagnosis_run.read_files(args)
     if is_travel_pair(data.fitted[0]):
         return travels.run(args, data.fitted)
     with Progress() as progress:
-        report, tree = diagnose_files(args, data, progress, count_processors())
+        report, tree = diagnosis_run.diagnose_files(args, data, progress, count_processors())
     diagnosis, files, further = report.found, report.data.files, report.data.further
     write_summary(args.json, tree)
     comparison = json_report.build_comparison_table(report.accepted) if report.accepted else None
     print(report_text.format_summary(diagnosis, files, comparison, further))
     print(format_read_summaries(tree["read_as"]), flush=True)
-    write_report(args, report, tree)
+    diagnosis_run.write_report(args, report, tree)
     if args.out is not None:
         print(f"\nwritten: {args.out / 'report.html'}")
     if args.supplement is not None:

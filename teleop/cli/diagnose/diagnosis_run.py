@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from estimator.array_types import Array
 from estimator.diagnosis import report_text
 from estimator.diagnosis.api import CauseError, RecordError, collect_signals, diagnose
 from estimator.diagnosis.outcome import Diagnosis
@@ -27,7 +26,6 @@ from teleop.data.standard_columns import TENSIONS, to_channel
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder
 from teleop.runtime.process import write_summary, write_text_file
-from teleop.view.analysis_curves import PlotCurve, PlotPanel, save
 
 # --- parsers of options
 
@@ -71,36 +69,7 @@ def parse_noise(words: Sequence[str]) -> dict[str, float]:
     return noise
 
 
-# --- residuals.rrd: measured and simulated signals of both models, for Rerun
-
-MEASURED, BEFORE, AFTER = 0x808080FF, 0xD55E00FF, 0x0072B2FF
-
-
-def write_residuals(path: Path, diagnosis: Diagnosis, files: Sequence[str]) -> None:
-    """Write the file: for each record a column, for each channel its curves and its residuals."""
-    columns = []
-    for k, file in enumerate(files):
-        record = diagnosis.dataset.records[k]
-        panels = []
-        for channel in record.compared:
-            rows = record.select_drawn_rows(channel)
-            measured = record.signals[channel][rows]
-            models = {
-                ("before", BEFORE): diagnosis.baseline.simulated[k].signals[channel][rows],
-                ("after", AFTER): diagnosis.extended.simulated[k].signals[channel][rows],
-            }
-            title = f"{record.units.name_channel(channel)} [{record.units.get_unit(channel)}]"
-            lines = {("measured", MEASURED): measured} | models
-            residuals = {key: measured - values for key, values in models.items()}
-            panels.append(_build_panel(f"{title}, {file}", record.time[rows], lines))
-            panels.append(_build_panel(f"residual of {title}", record.time[rows], residuals))
-        columns.append(panels)
-    save(path, report_text.format_verdict(diagnosis), columns)
-
-
-def _build_panel(title: str, time: Array, lines: dict[tuple[str, int], Array]) -> PlotPanel:
-    curves = (PlotCurve(name, colour, time, values) for (name, colour), values in lines.items())
-    return PlotPanel(title, tuple(curves))
+# --- the files, and their diagnosis
 
 
 class DiagnosisData(NamedTuple):
@@ -232,7 +201,7 @@ def write_report(args: argparse.Namespace, report: ReportContent, tree: Mapping[
     """Write the folder of `--out`, if there is one."""
     if (folder := args.out) is None:
         return
-    from teleop.cli.diagnose import html_report
+    from teleop.cli.diagnose import html_report, residual_curves  # with what draws: it takes long
 
     diagnosis, data = report.found, report.data
     write_summary(folder / "report.json", dict(tree))
@@ -243,4 +212,4 @@ def write_report(args: argparse.Namespace, report: ReportContent, tree: Mapping[
     model_file.save(folder / "model.yaml", model_file.from_diagnosis(diagnosis), remark)
     text = html_report.render(diagnosis, data.files, report.accepted, data.further, tree["read_as"])
     write_text_file(folder / "report.html", text, "the page")
-    write_residuals(folder / "residuals.rrd", diagnosis, data.files)
+    residual_curves.write_residuals(folder / "residuals.rrd", diagnosis, data.files)
