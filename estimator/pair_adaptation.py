@@ -176,11 +176,13 @@ def observe_pair(
     q_a, q_b = estimator_a.mean_displacement, estimator_b.mean_displacement
     if not state.started:
         a.tip, b.tip, state.started = q_a - a.elongation, q_b - b.elongation, True
-    travel = _find_joint_travel(a, q_a, b, q_b)
+    is_taut_a = estimator_a.mean_tension > TAUT_TENSION
+    is_taut_b = estimator_b.mean_tension > TAUT_TENSION
+    travel = _find_joint_travel(a, q_a, is_taut_a, b, q_b, is_taut_b)
     if travel != 0.0:
         _drive_tip(constants_a, a, -travel)
         _drive_tip(constants_b, b, travel)
-    is_usable = min(estimator_a.mean_tension, estimator_b.mean_tension) > TAUT_TENSION
+    is_usable = is_taut_a and is_taut_b
     state.age += dt
     state.time += dt
     T_a = estimator_a.mean_tension + prepared_a.tables[_DRAG]
@@ -311,10 +313,16 @@ def _sweep_tip(tension: Array, ratio: Array, weight: Array, change: float) -> No
 
 
 @jit_compile
-def _find_joint_travel(a: PairTendon, q_a: float, b: PairTendon, q_b: float) -> float:
-    """Return the joint's travel towards a [m] in this sample, by a tendon that slides fully."""
+def _find_joint_travel(
+    a: PairTendon, q_a: float, is_taut_a: bool, b: PairTendon, q_b: float, is_taut_b: bool
+) -> float:
+    """Return the joint's travel towards a [m] in this sample, by a taut tendon that slides fully.
+
+    A motor that takes up slack moves nothing else.
+    """
     by_a, by_b = _move_tip(a, q_a), -_move_tip(b, q_b)
-    slides_a, slides_b = _slides(a, by_a), _slides(b, -by_b)
+    slides_a = (is_taut_a or by_a < 0.0) and _slides(a, by_a)
+    slides_b = (is_taut_b or by_b > 0.0) and _slides(b, -by_b)
     if slides_a and slides_b:
         share = b.elongation**2 / (a.elongation**2 + b.elongation**2)
         return float(share * by_a + (1.0 - share) * by_b)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimator.adaptation import FACTOR_MAX, FACTOR_MIN, build_adaptation
+from estimator.adaptation import FACTOR_MAX, FACTOR_MIN, TAUT_TENSION, build_adaptation
 from estimator.law.sheath import Sheath
 from estimator.online import online
 from estimator.online.online import TendonModel
@@ -97,6 +97,16 @@ def test_the_tip_is_known_to_five_percent_where_k_is():
     for k, run in enumerate(run_adapting_pair(use.models, use.time, use.tension, use.travel)):
         error = abs(run.estimates.distal_tension - use.tip[:, k])[use.time > 5.0]
         assert np.mean(error < 0.05 * use.tip[:, k].max()) > 0.93
+
+
+def test_a_motor_that_takes_up_slack_moves_no_joint():
+    """Its travel, taken for the joint's, would pull the other tip by up to T_in e^K."""
+    use = simulate_use(109, pair=True)
+    run, _ = run_adapting_pair(use.models, use.time, use.tension, use.travel)
+    tip, before = use.tip[:, 0], use.time < 12.0
+    is_slack = before & (use.tension[:, 1] < TAUT_TENSION)
+    assert is_slack.sum() > 500
+    assert (run.estimates.distal_tension - tip)[is_slack].max() < 0.3 * tip.max()
 
 
 def test_friction_that_jumps_by_half_is_found_in_both_tendons_within_seconds():
