@@ -8,8 +8,9 @@ channels alone too, is asked the same before any cause is searched: how far K is
 and how much a mechanism without a sheath leaves. Half a second of a processor each.
 
 Each mechanism with and without a load cell at its end, 30 s at 50 Hz, 0.02 N and 0.5 um of noise;
-of odd seeds the motion is a sine, of even ones two of them. A record takes 5 to 60 s of a
-processor.
+joints by torque and angle of the motor, with and without the link's angle, 5 mN m and 0.1 mrad. Of
+odd seeds the motion is a sine, of even ones two of them. A record takes 5 to 60 s of a processor,
+a joint up to 200 s.
 """
 
 import itertools
@@ -21,18 +22,22 @@ import numpy as np
 from scipy.signal import lsim
 
 from estimator.diagnosis import report_text
-from estimator.diagnosis.api import diagnose_records
+from estimator.diagnosis.api import diagnose
 from estimator.diagnosis.baseline import fit_baseline
 from estimator.diagnosis.bench_units import compute_bench_scale, to_bench_units
 from estimator.diagnosis.dataset import build_dataset
 from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import RecordError, prepare_record
 from estimator.diagnosis.simple_models import PLAIN_MECHANISMS, fit_simple_models
+from estimator.measured_data import Samples
+from estimator.units import LINEAR, ROTARY
 from studies import hidden_effects
 from studies.testbed.command import parse_options
 
 RATE, DURATION = 50.0, 30.0
 NOISE = {"tension": 0.02, "displacement": 5e-7}
+ANGLE = 200.0  # [rad/m] of a motor's travel
+ANGLE_NOISE = {"tension": 5e-3, "displacement": 1e-4}  # [N m], [rad]
 REFUSED = "refused"
 
 
@@ -140,6 +145,47 @@ def _read_unrelated(motion, rng):
     return 1.0 + 2000.0 * other, 1.0 + 2000.0 * third
 
 
+# --- torque of the motor [N m] and angle of a link [rad]; the motor turns by 1 to 3 rad
+
+
+def _turn_angle(motion):
+    """Return angle, speed and acceleration of the motor."""
+    return (
+        ANGLE * (motion.travel - motion.travel.mean()),
+        ANGLE * motion.speed,
+        ANGLE * motion.acceleration,
+    )
+
+
+def _turn_link_with_play(motion, rng):
+    """A link on a spring behind a gear with play; dry friction and inertia on either side of it."""
+    q, v, a = _turn_angle(motion)
+    link, play = np.empty_like(q), rng.uniform(5e-3, 0.05)
+    held = q[0]
+    for i, x in enumerate(q):
+        held = link[i] = min(max(held, x - play), x + play)
+    friction = rng.uniform(0.1, 0.5) * np.tanh(v / 0.01)
+    return 2.0 * link + friction + rng.uniform(0.005, 0.02) * a, link
+
+
+def _turn_damped_spring(motion, rng):
+    q, v, _ = _turn_angle(motion)
+    return rng.uniform(1.0, 3.0) * q + rng.uniform(0.05, 0.3) * v, q
+
+
+def _swing_link(motion, rng):
+    """A link that hangs, with dry friction."""
+    q, v, a = _turn_angle(motion)
+    friction = rng.uniform(0.1, 0.5) * np.tanh(v / 0.01)
+    return rng.uniform(1.0, 3.0) * (np.sin(q) + a / 40.0) + friction, q
+
+
+JOINTS = {
+    "link behind a gear with play": _turn_link_with_play,
+    "spring with damper, by angle": _turn_damped_spring,
+    "link with gravity and dry friction": _swing_link,
+}
+
 CONTROLS = {
     "spring": _pull_spring,
     "damped spring": _pull_damped_spring,
@@ -153,20 +199,25 @@ CONTROLS = {
     "broken load cell": _read_broken_cell,
     "random walk": _wander,
     "unrelated signals": _read_unrelated,
+    **JOINTS,
 }
 
 
 def make_control(name, seed, *, tip):
-    """Return the times and the noisy channels of a mechanism, with a cell at its end if `tip`."""
+    """Return noisy data of a mechanism, with a sensor at its end if `tip`."""
     rng = np.random.default_rng([seed, *name.encode()])
     motion = move_motor(rng, sine=seed % 2 == 1)
-    proximal, distal = CONTROLS[name](motion, rng)
-    channels = {"proximal_tension": proximal, "proximal_displacement": motion.travel}
-    channels |= {"distal_tension": distal} if tip else {}
-    return motion.time, {
-        channel: y + NOISE[channel.partition("_")[2]] * rng.standard_normal(len(y))
+    effort, end = CONTROLS[name](motion, rng)
+    is_joint = name in JOINTS
+    travel = ANGLE * motion.travel if is_joint else motion.travel
+    channels = {"proximal_tension": effort, "proximal_displacement": travel}
+    channels |= {f"distal_{'displacement' if is_joint else 'tension'}": end} if tip else {}
+    noise = ANGLE_NOISE if is_joint else NOISE
+    noisy = {
+        channel: y + noise[channel.partition("_")[2]] * rng.standard_normal(len(y))
         for channel, y in channels.items()
     }
+    return Samples(motion.time, **noisy, units=ROTARY if is_joint else LINEAR)
 
 
 class Result(NamedTuple):
@@ -183,9 +234,8 @@ class Result(NamedTuple):
 
 def judge(name, seed, *, tip):
     """Make a record, diagnose it, and return what came of it."""
-    stamps, channels = make_control(name, seed, tip=tip)
     try:
-        found = diagnose_records([prepare_record(stamps, channels)])
+        found = diagnose(make_control(name, seed, tip=tip))
     except RecordError as error:
         return Result(REFUSED, str(error))
     return Result(found.verdict, report_text.format_verdict(found))
@@ -233,7 +283,7 @@ def main():
                 result = judge(name, seed, tip=tip)
                 counts[result.right] += 1
                 print(
-                    f"{name}, {'two cells' if tip else 'one cell'}, {seed}: {result.verdict}"
+                    f"{name}, {'both ends' if tip else 'one end'}, {seed}: {result.verdict}"
                     f"{'' if result.right else ' WRONG'} ({time.process_time() - begin:.0f} s): "
                     f"{result.said}",
                     flush=True,
