@@ -34,6 +34,7 @@ _SLACK = math.log(_TENSION_MIN) - K_MAX
 _RELATIVE_STEP = 1e-3  # relative, of the intervals
 _TURN_STEP = 2e-4  # relative, of the turning tensions
 _ZERO_STEP = 1e-4  # [N]
+_DEGENERATE = 1e-8  # of the largest singular value: differences of these steps tell no less
 # how far refining goes: ln, ln, uncertainties
 _ENDS_RANGE, _TURNS_RANGE, _ZERO_RANGE = 0.7, 0.5, 3.0
 
@@ -292,17 +293,17 @@ class PatternLeastSquares:
             max_nfev=10,
         )
         best = solution.values
-        covariance = np.linalg.pinv(solution.jacobian.T @ solution.jacobian)
+        inverse = np.linalg.pinv(solution.jacobian, _DEGENERATE)
         K_by = np.zeros(len(best))
         K_by[:n] = np.exp(best[:n])  # K is the sum of the intervals
         C_by = compute_central_differences(lambda x: solve(x)[1].sum(keepdims=True), best, steps)[0]
         self.state = np.exp(best[n:-1]), float(best[-1])
         refined = self._fit_shape(fit.shape._replace(ends=_from_logs(best[:n])))
-        linear = self._compute_linear_variance(refined)
+        linear = self._compute_linear_uncertainty(refined)
         return refined, Uncertainty(
-            math.sqrt(float(K_by @ covariance @ K_by)),
-            math.sqrt(float(C_by @ covariance @ C_by) + linear),
-            math.sqrt(float(covariance[-1, -1])),
+            float(np.linalg.norm(K_by @ inverse)),
+            math.hypot(float(np.linalg.norm(C_by @ inverse)), linear),
+            float(np.linalg.norm(inverse[-1])),
         )
 
     def compute_tension_residual(self, fit: PatternFit) -> float:
@@ -311,15 +312,14 @@ class PatternLeastSquares:
         scaled = residual / np.sqrt(self._count)  # in units of the noise of one sample
         return self._loop.sigma * float(np.sqrt(np.average(scaled**2, weights=self._count)))
 
-    def _compute_linear_variance(self, fit: PatternFit) -> float:
-        """Return the variance of the sum of compliances while the ends stay [m²/N²]."""
+    def _compute_linear_uncertainty(self, fit: PatternFit) -> float:
+        """Return that of the sum of compliances while the ends stay [m/N]."""
         used = np.array([*fit.pattern.spread, *np.array(fit.pattern.straight)[fit.shape.straight]])
         A = self._remove_offset(self._play.compute_columns(fit.shape) * self._weight[:, None])[
             :, used > 0.0
         ]
         scale = np.linalg.norm(A, axis=0)
-        inverse = np.linalg.pinv((A / scale).T @ (A / scale))
-        return float((1.0 / scale) @ inverse @ (1.0 / scale))
+        return float(np.linalg.norm((1.0 / scale) @ np.linalg.pinv(A / scale, _DEGENERATE)))
 
     def _set_weights(self, slope: Array) -> None:
         self._weight = 1.0 / np.hypot(

@@ -53,14 +53,14 @@ def test_an_override_of_one_joint_or_tendon_changes_no_other(name, key, value):
     assert before[place] != value
 
 
-def calibrate(name, out):
+def calibrate(name, out, *options):
     words = ["--config", str(FOLDER / f"{name}.yaml")]
     words += (
         []
         if name in ARMS
         else [*("--together", "--set", "rate_hz=500", "--set", "slave.rig.period=0.002")]
     )
-    return commands.main(["calibrate", *words, "--quick", "--out", str(out)])
+    return commands.main(["calibrate", *words, *options, "--out", str(out)])
 
 
 def of_each(name):
@@ -71,7 +71,7 @@ def of_each(name):
 def done(request, tmp_path_factory):
     """Return a config's name, and the file that the command in it has written."""
     out = tmp_path_factory.mktemp("configs") / "calibration.yaml"
-    assert calibrate(request.param, out) == 0
+    assert calibrate(request.param, out, "--quick") == 0
     return request.param, out
 
 
@@ -85,7 +85,17 @@ def true_sheaths(config):
 
 
 def test_as_its_file_says_a_rig_is_calibrated_and_every_sheath_found(done):
-    name, out = done
+    require_true_sheaths(*done)
+
+
+@pytest.mark.slow
+def test_all_loops_of_an_endoscope_tell_its_sheaths_too(tmp_path):
+    out = tmp_path / "calibration.yaml"
+    assert calibrate("endoscope-tip", out) == 0
+    require_true_sheaths("endoscope-tip", out)
+
+
+def require_true_sheaths(name, out):
     found = calibration_file.load(out).directions
     true = list(true_sheaths(load(FOLDER / f"{name}.yaml", SlaveConfig, "slave")))
     assert len(found) == len(true)
