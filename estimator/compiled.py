@@ -41,18 +41,18 @@ R = TypeVar("R")
 
 
 def _refuse_shape(_source: Any, _target: Any) -> None:
-    """Raise the error of an array that is assigned to a slice of another shape."""
+    """Stand for `_raise_constant` in compiled code, which alone is called."""
 
 
 @overload(_refuse_shape)
 def _raise_constant(_source: Any, _target: Any) -> Callable[[Any, Any], None]:
-    def refuse(_source: Any, _target: Any) -> None:
+    def raise_error(_source: Any, _target: Any) -> None:
         raise ValueError("an array is assigned to a slice of another shape")
 
-    return refuse
+    return raise_error
 
 
-# numba would compile, in every process, what formats both shapes: 30 functions of strings, 4 s
+# numba would compile, in every process, what formats both shapes: some 20 functions of strings
 arrayobj.raise_with_shape_context = _refuse_shape
 
 # Without the entry for calls from C, which nobody makes: a sixth of the time that compiling takes.
