@@ -1,7 +1,7 @@
 """Tendon control: from the commanded travel of a joint to motor positions.
 
 `step` is the controller, `estimate_joints` estimates joints from their tendons.
-docs/explanation/estimator.md explains both.
+docs/explanation/control.md explains both.
 """
 
 from slave.control.joint_estimate import (

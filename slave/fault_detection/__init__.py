@@ -2,7 +2,7 @@
 
 Broken and jammed tendons, stuck and saturated load cells, motors off their set position: `step`
 checks every sample, whether engaged or not, `check_motors` every tick. Thresholds
-and detection times: docs/explanation/estimator.md.
+and detection times: docs/explanation/control.md.
 """
 
 from slave.fault_detection.config import FaultDetectionConfig
