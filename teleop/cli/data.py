@@ -23,6 +23,7 @@ from estimator.report_table import Table
 from teleop.config import strict_yaml
 from teleop.config.loading import as_tree
 from teleop.config.options import TABLE_OPTIONS, add_options
+from teleop.data.column_search import format_proposals
 from teleop.data.column_units import split_scale
 from teleop.data.file_formats import read_columns
 from teleop.data.mapping_file import (
@@ -129,7 +130,8 @@ def format_summary(table: MeasuredTable, summary: dict[str, Any]) -> str:
         "",
     ]
     if table.extra:
-        lines.append(f"not used: {', '.join(table.extra)}")
+        options = format_proposals({}, list(table.extra), table.sources)
+        lines.append(f"not used: {', '.join(table.extra)}{f'; perhaps {options}' * bool(options)}")
     if summary["gaps"]:
         longest = f"the longest {summary['longest_gap_s']:.4g} s"
         lines.append(f"gaps: {summary['gaps']} of more than {GAP_PERIODS} periods, {longest}")

@@ -1,4 +1,4 @@
-"""Tables in spreadsheets and in files of arrays: .xlsx and its kin, .mat, .npz, HDF5.
+"""Tables in spreadsheets and in files of arrays: .xlsx and its kin, .mat, .npz, JSON, HDF5.
 
 A sheet is rows of text and goes the way of a text table. Of arrays those of the most frequent
 length are the columns; what else is in the file is left out, and said. Extra `files`.
@@ -7,6 +7,7 @@ length are the columns; what else is in the file is left out, and said. Extra `f
 import datetime
 import importlib
 import itertools
+import json
 import zipfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -30,6 +31,9 @@ from teleop.errors import UsageError
 
 ARRAYS_MAX = 10_000
 """Arrays in a file that are looked at."""
+
+JSON_MAX = 1 << 28
+"""Bytes of JSON, which is read at once: an hour of five channels at 1 kHz."""
 
 
 def _import(path: Path, module: str) -> Any:
@@ -85,8 +89,12 @@ def _format_cell(value: object) -> str:
 
 
 def read_npz(path: Path, _: TableMapping) -> RawTable:
-    """Read the arrays that `numpy.savez` wrote; nothing in it is run."""
+    """Read the arrays that `numpy.savez` or `save` wrote; nothing in it is run."""
     try:
+        if not zipfile.is_zipfile(path):
+            matrix = np.lib.format.open_memmap(path, mode="r")
+            _check_shape(path, "its array", matrix.shape)
+            return _assemble(path, [("column", matrix)])
         with zipfile.ZipFile(path) as packed:
             if sum(item.file_size for item in packed.infolist()) > 8 * read_limits.CELLS_MAX:
                 raise UsageError(f"{path}: has more than {read_limits.CELLS_MAX} values")
@@ -111,6 +119,38 @@ def read_mat(path: Path, _: TableMapping) -> RawTable:
         raise UsageError(f"{path}: is not a file of MATLAB: {error}") from None
     shown = {name: value for name, value in variables.items() if not name.startswith("__")}
     return _assemble(path, _flatten("", shown))
+
+
+def read_json(path: Path, _: TableMapping) -> RawTable:
+    """Read samples as objects, in one list or each in a line, or an object of the columns."""
+    if path.stat().st_size > JSON_MAX:
+        raise UsageError(f"{path}: more than {JSON_MAX >> 20} MB of JSON: save it as .parquet")
+    text = path.read_text("utf-8-sig")
+    try:
+        try:
+            data = json.loads(text)
+        except json.JSONDecodeError:
+            data = [json.loads(line) for line in text.splitlines() if line.strip()]
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"{path}: is not JSON: {error}") from None
+    if isinstance(data, list) and all(isinstance(row, dict) for row in data):
+        rows = [dict(_flatten("", row)) for row in data]
+        names = list(dict.fromkeys(name for row in rows for name in row))
+        missing = np.array(np.nan)
+        data = {name: [row.get(name, missing).tolist() for row in rows] for name in names}
+    elif isinstance(data, list):
+        data = {"column": data}
+    if not isinstance(data, dict):
+        raise UsageError(f"{path}: is no table: a list of samples, or an object of the columns")
+    return _assemble(path, [(name, _to_array(values)) for name, values in _flatten("", data)])
+
+
+def _to_array(values: Column) -> Column:
+    """Return values of JSON as numbers, NaN for null, if all are numbers."""
+    try:
+        return values.astype(np.float64)
+    except (TypeError, ValueError):
+        return values
 
 
 def _flatten(stem: str, variables: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

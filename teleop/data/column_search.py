@@ -9,20 +9,27 @@ import numpy as np
 from estimator.units import LINEAR, Units
 from teleop.config.suggestions import suggest_spelling
 from teleop.data import standard_columns
-from teleop.data.column_units import UNIT_FACTORS, propose_time_unit
+from teleop.data.column_units import UNIT_FACTORS, propose_time_unit, states_unit
 from teleop.data.raw_table import RawTable
 from teleop.data.standard_columns import Columns
 from teleop.data.table_parser import clean_name
+from teleop.data.time_text import has_moments
 from teleop.errors import UsageError
 
 NAMES_SHOWN = 12  # of a file's columns in an error message
 _OF_RAW_VALUES = (
     " (or 'proximal_torque=COLUMN[Nm]'; of amperes [0.05 Nm], of counts [0.002 N, zero 8060])"
 )
-_CHANNEL_WORDS = {
-    "time": "time|timestamp|zeit|t",
-    "proximal_tension": "tension|force|load|load_?cell|torque|effort|kraft",
+_QUANTITY_WORDS = {
+    "time": "time|timestamp|zeit|x_value|t",
+    "tension": "tension|force|load|load_?cell|torque|effort|kraft",
+    "displacement": "displacement|position|pos|travel|stroke|encoder|angle|weg|winkel",
 }
+_END_WORDS = {
+    "proximal": "proximal|prox|in|inlet|input|housing",
+    "distal": "distal|dist|out|outlet|output|tip",
+}
+_TENSION_AT_END = re.compile(r"(?i)(?<![a-z])[tf](?=_?(in|out)(?![a-z]))")  # T_in, Fout
 
 
 def match_name(raw: RawTable, name: str) -> str:
@@ -81,7 +88,7 @@ def is_travel_pair(raw: RawTable, columns: Columns) -> bool:
 
 
 def _list_tensions(names: Iterable[str]) -> list[str]:
-    is_tension = re.compile(_CHANNEL_WORDS["proximal_tension"], re.IGNORECASE)
+    is_tension = re.compile(_QUANTITY_WORDS["tension"], re.IGNORECASE)
     return [name for name in names if is_tension.search(name)]
 
 
@@ -94,6 +101,8 @@ def find_columns(
 ) -> dict[str, str]:
     """Return field -> column name of what the file has of `columns`."""
     columns_found = {}
+    moments = {n: "s" for n, c in raw.columns.items() if c.dtype == object and has_moments(c)}
+    units = dict(raw.units) | moments
     standard = {
         name for names in standard_columns.STANDARD_NAMES.values() for name in names.values()
     }
@@ -124,12 +133,20 @@ def find_columns(
             )
         candidates = _list_tensions(unclaimed) if item == "proximal_tension" else []
         if len(candidates) > 1 and not optional:
+            options = format_proposals(units, unclaimed)
+            if "proximal_tension=" not in options:
+                options = (
+                    f"--column 'proximal_tension={candidates[0]}'; or an antagonistic pair: "
+                    "teleop pair"
+                )
             raise UsageError(
                 f"{raw.path}: {' and '.join(candidates)}: say which is the tension at the housing: "
-                f"--column 'proximal_tension={candidates[0]}'; or an antagonistic pair: teleop pair"
+                f"{options}"
             )
         hint = suggest_spelling(name, unclaimed, cutoff=0.88 if optional else 0.6)
-        advice = _explain_missing(item, unclaimed) + _ask_for_tension(item, columns, raw, unclaimed)
+        advice = _explain_missing(item, units, unclaimed) + _ask_for_tension(
+            item, columns, raw, unclaimed
+        )
         if hint:
             asked = _ask_for_tension(item, columns, raw, unclaimed)
             advice = f"{hint} Then --column '{item}=COLUMN[UNIT]' says so{asked}"
@@ -141,27 +158,70 @@ def find_columns(
     return columns_found
 
 
-def _explain_missing(item: str, names: Sequence[str]) -> str:
-    """Return what to do about a column that must be there; one name that may be it is proposed."""
+def _explain_missing(item: str, units: Mapping[str, str], names: Sequence[str]) -> str:
+    """Return what to do about a column that must be there; those that may be it are proposed."""
     if item == "time":
-        return f"; name it by --column '{_propose(item, names)}', or give --rate HZ"
+        return f"; name it by --column '{_propose(item, units, names)}', or give --rate HZ"
+    if item != "proximal_tension":
+        return ""
     return (
         "; friction and force are only known from the tension at the housing: add a load cell, or "
-        f"name its column by --column '{_propose('proximal_tension', names)}'{_OF_RAW_VALUES}"
-    ) * (item == "proximal_tension")
+        f"name its column by {_format_tension(units, names)}"
+    )
 
 
 def _ask_for_tension(item: str, columns: Columns, raw: RawTable, names: Sequence[str]) -> str:
-    """Return the option for the tension if it is missing too, for the message on the time."""
+    """Return the options for what is missing too, for the message on the time."""
     if item != "time" or columns.proximal_tension in raw.columns:
         return ""
-    return f"; and the tension: --column '{_propose('proximal_tension', names)}'{_OF_RAW_VALUES}"
+    return f"; and the tension: {_format_tension(raw.units, names)}"
 
 
-def _propose(item: str, names: Sequence[str]) -> str:
-    """Return the option for a channel, with the column that may be it, if there is one."""
-    words = re.compile(rf"(?i)(?<![a-z])({_CHANNEL_WORDS[item]})(?![a-z])")
-    close = [name for name in names if words.search(name) and not re.search("(?i)pct|%", name)]
+def _format_tension(units: Mapping[str, str], names: Sequence[str]) -> str:
+    """Return the option for the tension at the housing, and for what else the names tell."""
+    options = format_proposals(units, names)
+    if "proximal_t" in options:
+        return options
+    return " ".join(
+        filter(None, (f"--column 'proximal_tension=COLUMN[UNIT]'{_OF_RAW_VALUES}", options))
+    )
+
+
+def format_proposals(
+    units: Mapping[str, str], names: Sequence[str], known: Collection[str] = ()
+) -> str:
+    """Return the options for channels that columns may be by their names, "" for none.
+
+    `units` are those of a row below the names, by column; `known` are channels not to be proposed.
+    """
+    items = [f"{end}_{what}" for what in ("tension", "displacement") for end in _END_WORDS]
+    proposed = (_propose(item, units, names) for item in items if item not in known)
+    return " ".join(f"--column '{each}'" for each in proposed if "=COLUMN" not in each)
+
+
+def _propose(item: str, units: Mapping[str, str], names: Sequence[str]) -> str:
+    """Return the option for a channel, with the column that may be it, if there is one.
+
+    Names tell the end or none; one that tells none may be that at the housing.
+    """
+    end, _, quantity = item.rpartition("_")
+    close = [name for name in names if _names_quantity(name, quantity)]
+    if end:
+        at_end = [name for name in close if _has_word(name, _END_WORDS[end])]
+        ends = "|".join(_END_WORDS.values())
+        open_names = [name for name in close if not _has_word(name, ends)]
+        close = at_end or open_names * (end == "proximal")
     column = close[0] if len(close) == 1 else "COLUMN"
     item = item.replace("tension", "torque") if "torque" in column.lower() else item
-    return f"{item}={column}" + "[UNIT]" * (not column.endswith((")", "]")))
+    return f"{item}={column}" + "[UNIT]" * (not states_unit(column, units.get(column, "")))
+
+
+def _names_quantity(name: str, quantity: str) -> bool:
+    if _TENSION_AT_END.search(name):
+        return quantity == "tension"
+    return _has_word(name, _QUANTITY_WORDS[quantity]) and not re.search("(?i)pct|%", name)
+
+
+def _has_word(name: str, words: str) -> bool:
+    separated = _TENSION_AT_END.sub("t_", re.sub("(?<=[a-z])(?=[A-Z])", "_", name))
+    return re.search(rf"(?i)(?<![^\W\d_])({words})(?![^\W\d_])", separated) is not None

@@ -81,6 +81,12 @@ def is_unit(text: str) -> bool:
     return _match_unit(text) != "" or text in _RAW_UNITS
 
 
+def states_unit(name: str, row_unit: str) -> bool:
+    """Return whether a column's name ends with a unit, or the row below the names has one."""
+    end = _IN_BRACKETS.search(name) or _UNIT_SUFFIX.search(name)
+    return bool(row_unit.strip("-") or (end and _match_unit(end[1])))
+
+
 def propose_time_unit(period: float, known: str = "", *, slower: bool | None = None) -> str:
     """Return the unit in which samples that are `period` apart are those of a measurement.
 

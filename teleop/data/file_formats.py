@@ -387,7 +387,8 @@ _READERS: dict[str, Callable[[Path, TableMapping], RawTable]] = {
     ".mcap": _read_recording,
     **dict.fromkeys((".xlsx", ".xls", ".ods"), _read_lazily("read_spreadsheet")),
     ".mat": _read_lazily("read_mat"),
-    ".npz": _read_lazily("read_npz"),
+    **dict.fromkeys((".npz", ".npy"), _read_lazily("read_npz")),
+    **dict.fromkeys((".json", ".jsonl", ".ndjson"), _read_lazily("read_json")),
     **dict.fromkeys((".h5", ".hdf5"), _read_lazily("read_hdf5")),
 }
 _WRITERS: dict[str, Callable[[Path, Mapping[str, Column]], None]] = {

@@ -26,7 +26,7 @@ _MARKS = {
 _MARKS |= {b"\x1f\x8b": "packed (.csv.gz)", b"PAR1": ".parquet", b"ARROW1": ".feather"}
 _MARKS |= {b"\x89HDF": "HDF5 (.h5)", b"MATLAB 5.0": ".mat", b"\x89MCAP": "a recording (.mcap)"}
 
-_MARKUP = {b"<?xml": "XML", b"<": "HTML", b'{"': "JSON", b"[{": "JSON", b"[[": "JSON"}
+_MARKUP = {b"<?xml": "XML", b"<": "HTML"} | dict.fromkeys((b'{"', b"[{", b"[["), "JSON (.json)")
 
 
 @dataclass(frozen=True, slots=True)

@@ -79,6 +79,9 @@ def find_layout(path: Path, lines: Sequence[str], encoding: str, mapping: TableM
     first_line, separator = 1, mapping.separator.replace("\\t", "\t")
     if stated := re.fullmatch(r"\W?sep=(.)\"?\s*", lines[0] if lines else ""):
         first_line, lines, separator = 2, lines[1:], separator or stated[1]
+    heads = [k for k, line in enumerate(lines) if line.startswith("***End_of_Header***")]
+    if heads:  # of LabVIEW: one of the file, one of the channels
+        first_line, lines = first_line + heads[-1] + 1, lines[heads[-1] + 1 :]
     if not any(line.strip() for line in lines):
         raise UsageError(f"{path}: line 1: is blank, must contain the column names")
     if separator:

@@ -1,5 +1,6 @@
 """Spreadsheets and files of arrays give the same table as text does."""
 
+import json
 import zipfile
 
 import numpy as np
@@ -103,6 +104,36 @@ def test_arrays_of_numpy_are_read_and_objects_are_not(tmp_path):
         read_table(tmp_path / "x.npz")
 
 
+def test_one_array_of_numpy_has_numbered_columns(tmp_path):
+    np.save(tmp_path / "x.npy", np.column_stack([*COLUMNS.values()]))
+    mapped = {"time": "column:1[ms]", "proximal_tension": "column:2"}
+    check(read_table(tmp_path / "x.npy", Columns(**mapped, proximal_displacement="column:3[m]")))
+    np.save(tmp_path / "x.npy", np.array([{"a": 1}], dtype=object))
+    with pytest.raises(UsageError, match="cannot be read"):
+        read_table(tmp_path / "x.npy")
+
+
+@pytest.mark.parametrize("form", ["samples", "lines", "columns", "nested"])
+def test_json_of_samples_or_of_columns(tmp_path, form):
+    samples = [dict(zip(COLUMNS, row, strict=True)) for row in zip(*COLUMNS.values(), strict=True)]
+    text = {
+        "samples": json.dumps(samples),
+        "lines": "\n".join(map(json.dumps, samples)) + "\n",
+        "columns": json.dumps({name: [*values] for name, values in COLUMNS.items()}),
+        "nested": json.dumps([{"rig": sample, "name": "a"} for sample in samples]),
+    }
+    (tmp_path / "x.json").write_text(text[form])
+    names = [f"rig.{name}" * (form == "nested") or name for name in COLUMNS]
+    check(read_table(tmp_path / "x.json", Columns(*names)))
+
+
+def test_null_in_json_is_a_missing_value(tmp_path):
+    samples = [{"time_s": k, "proximal_tension_N": None if k == 4 else 1.0} for k in range(9)]
+    (tmp_path / "x.jsonl").write_text("\n".join(map(json.dumps, samples)))
+    with pytest.raises(UsageError, match="1 of 9 values are missing or not finite, the first in r"):
+        read_table(tmp_path / "x.jsonl", Columns("time_s[ms]"))
+
+
 def test_feather(tmp_path):
     feather.write_feather(pa.table(COLUMNS), tmp_path / "x.feather")
     check(read_table(tmp_path / "x.feather"))
@@ -117,7 +148,7 @@ def test_datasets_of_hdf5_with_their_units(tmp_path):
     check(read_table(tmp_path / "x.h5"))
 
 
-@pytest.mark.parametrize("suffix", ["xlsx", "mat", "npz", "feather", "h5"])
+@pytest.mark.parametrize("suffix", ["xlsx", "mat", "npz", "npy", "json", "feather", "h5"])
 def test_what_is_not_such_a_file_is_refused_in_one_line(tmp_path, suffix):
     for module in ("python_calamine", "h5py"):
         pytest.importorskip(module)

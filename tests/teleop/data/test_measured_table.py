@@ -91,6 +91,29 @@ def test_a_recording_is_a_table(tmp_path):
             "Run Time [ms],Q,Drive Torque\n0,1,1\n",
             ["'time=Run Time [ms]'", "rate HZ; and", "'proximal_torque=Drive Torque[UNIT]'"],
         ),
+        (
+            "Time [s],T_in,Fout [mN],MotorPos\n0,1,1,1\n",
+            [
+                "--column 'proximal_tension=T_in[UNIT]' --column 'distal_tension=Fout [mN]' ",
+                "--column 'proximal_displacement=MotorPos[UNIT]'",
+            ],
+        ),
+        (
+            "Zeit [s],Kraft distal [N],Kraft proximal [N],Weg [mm]\n0,1,1,1\n",
+            [
+                "the tension at the housing: --column 'proximal_tension=Kraft proximal [N]' ",
+                "distal_tension=Kraft distal [N]'",
+                "proximal_displacement=Weg [mm]'",
+            ],
+        ),
+        (
+            "timestamp,T_in\n2026-04-10T18:16:04.250,1\n2026-04-10T18:16:04.300,2\n",
+            ["proximal_tension=T_in[UNIT]'"],
+        ),
+        (
+            "Load left [N],Load right [N],time_s\n1,1,0\n",
+            ["=Load left [N]'; or an antagonistic pair"],
+        ),
         ("time_s,proximal_tensoin_N\n0,1\n", ["'proximal_tension_N'", "'proximal_tensoin_N'"]),
         ("time_s,time_s,proximal_tension_N\n0,0,1\n", ["'time_s'", "2 times"]),
         (

@@ -453,3 +453,13 @@ def test_text_of_a_test_machine_or_an_oscilloscope_is_read(tmp_path):
     assert "column '1': unknown unit Volt" in said
     columns[1] = said.split("--column '")[1].split("'")[0].replace("SCALE", "1")
     check(read(tmp_path / "x.csv", text, columns))
+
+
+def test_names_below_the_last_header_of_labview_are_found(tmp_path):
+    head = "LabVIEW Measurement\nTime\t11:10:31.1\n***End_of_Header***\t\n\nChannels\t2\n"
+    head += "Samples\t40\t40\t\nX_Dimension\tTime\tTime\nX0\t0.0E+0\t0.0E+0\n"
+    head += "***End_of_Header***\t\t\t\nX_Value\tForce_0\tPosition_0\tComment\n"
+    columns = ["proximal_tension=Force_0[N]", "proximal_displacement=Position_0[m]"]
+    text = head + BARE.replace(",", "\t")
+    assert "'time=X_Value[UNIT]'" in refusal(tmp_path / "x.lvm", text, columns)
+    check(read(tmp_path / "x.lvm", text, ["time=X_Value[s]", *columns]))
