@@ -90,5 +90,5 @@ def check_motors(
         motors.repeated = sent_on
     motors.late = motors.late + dt if largest > config.motor_lag else 0.0
     if motors.late > config.motor_lag_time:
-        return Reason.MOTOR_ASTRAY, furthest
+        return Reason.MOTOR_POSITION_ERROR, furthest
     return Reason.NONE, -1

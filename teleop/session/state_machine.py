@@ -122,7 +122,7 @@ class Reason(IntEnum):
     CELL_SATURATED = 48, "load cell at the end of its range"
     CELL_STUCK = 49, "load cell repeats the same reading"
     CALIBRATION_DUE = 50, "sheath has changed its shape; calibrate again"
-    MOTOR_ASTRAY = 51, "motor not where it was commanded"
+    MOTOR_POSITION_ERROR = 51, "motor not where it was commanded"
     SAMPLES_FROZEN = 52, "samples of the rig do not change although a motor was moved"
     EMERGENCY_STOP = 53, "operator pressed the emergency stop"
     STOP_CALLED = 54, "emergency stop requested"

@@ -143,7 +143,7 @@ def test_a_motor_that_does_not_go_where_it_is_sent_is_a_fault_that_names_it():
 
     free = slave(build_joint(0.8, environment=FreeConfig()))
     session = run(free, to(0.020, 0.02), 2.0, spoiled)
-    assert session.bench.session.reason is Reason.MOTOR_ASTRAY
+    assert session.bench.session.reason is Reason.MOTOR_POSITION_ERROR
     assert session.bench.memory.faulty_tendon == 1
     lag = free.fault_detection.motor_lag
     assert lag < np.abs(session.behind[-1, 1]) < lag + 0.002

@@ -37,14 +37,14 @@ def frame(k, displacement=0.0):
     return [(1.0 + 1e-3 * k, displacement)]
 
 
-def test_a_motor_that_lags_for_long_is_astray_and_the_furthest_is_named():
+def test_a_motor_that_lags_for_long_is_a_fault_and_the_furthest_is_named():
     motors, found = MotorChecks.new(), []
     for k in range(300):
         behind = np.array([0.5, 1.1, 2.0]) * SETTINGS.motor_lag if k >= 100 else np.zeros(3)
         found.append(tick(motors, frame(k, -behind), np.zeros(3)))
     late = round(SETTINGS.motor_lag_time / DT)
     assert set(found[: 100 + late - 1]) == {NOTHING}
-    assert set(found[100 + late + 1 :]) == {(Reason.MOTOR_ASTRAY, 2)}
+    assert set(found[100 + late + 1 :]) == {(Reason.MOTOR_POSITION_ERROR, 2)}
     assert tick(motors, frame(300), np.zeros(3)) == NOTHING  # it has arrived
     assert motors.late == 0.0
 
@@ -53,7 +53,7 @@ def test_time_counts_also_in_ticks_without_a_sample():
     motors = MotorChecks.new()
     tick(motors, frame(0, 2.0 * SETTINGS.motor_lag), np.zeros(3))
     found = [tick(motors, [], np.zeros(3)) for _ in range(200)]
-    assert found[-1] == (Reason.MOTOR_ASTRAY, 0)
+    assert found[-1] == (Reason.MOTOR_POSITION_ERROR, 0)
 
 
 @pytest.mark.parametrize("alike", [0, 1, 2])
@@ -69,7 +69,7 @@ def test_a_frame_is_repeated_once_its_motor_was_sent_on(alike):
     assert not motors.repeated
 
 
-def test_a_tendon_without_an_encoder_is_never_repeated_nor_astray():
+def test_a_tendon_without_an_encoder_is_never_repeated_nor_off_its_position():
     motors = MotorChecks.new()
     for k in range(300):
         assert tick(motors, [(1.0, math.nan)], np.full(3, 1e-3 * k)) == NOTHING
