@@ -45,6 +45,7 @@ from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate_force
 
 RATE = 500.0  # [Hz]
 CHANGE_S, SETTLE_S, AFTER_S = 25.0, 30.0, 15.0  # [s]
+COEFFICIENT_MAX = 2.0  # of friction: a sheath with less bend for its K is drawn again
 LOOP_FRICTION = 1 / 3  # coefficient of a sensing loop over that of the tendon
 EARLY_S = 8.0  # [s]
 NOISE_N, NOISE_M = 0.02, 1e-6
@@ -164,6 +165,14 @@ def run_loop(
 
 def generate_sheath(rng: np.random.Generator) -> tuple[tuple[SectionConfig, ...], float, float]:
     """Return random sections, K and EA [N]: uneven bends, a straight stretch now and then."""
+    while True:
+        sections, K, EA = _draw_sheath(rng)
+        bend = sum(s.length / s.radius for s in sections)
+        if COEFFICIENT_MAX * bend >= K:
+            return sections, K, EA
+
+
+def _draw_sheath(rng: np.random.Generator) -> tuple[tuple[SectionConfig, ...], float, float]:
     count = int(rng.integers(1, 5))
     length = rng.uniform(0.2, 0.5, count) * rng.uniform(0.8, 1.2)
     radius = np.exp(rng.uniform(np.log(0.05), np.log(0.4), count))
