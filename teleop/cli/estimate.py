@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.adaptation import run_adapting
+from estimator.adaptation import FACTOR_MAX, FACTOR_MIN, run_adapting
 from estimator.calibration.sheath_fit import LENGTH_MAX, FitError, SheathFit, fit_sheath
 from estimator.diagnosis.api import collect_signals
 from estimator.measured_data import Samples
@@ -211,6 +211,8 @@ def adapt(
         run = runs[joint.index(k)]
     else:
         run = run_adapting(models[0], time, tensions[0], travels[0], loops[0])
+    bounds = FACTOR_MIN * run.K[0], FACTOR_MAX * run.K[0]
+    is_open = (run.K_low <= bounds[0] * (1.0 + 1e-6)) & (run.K_high >= bounds[1] * (1.0 - 1e-6))
     return run.estimates, {
         "K_calibrated": float(run.K[0]),
         "K": float(run.K[-1]),
@@ -219,6 +221,7 @@ def adapt(
         "changed_at_s": float(time[run.adapted_from]) if run.adapted_from >= 0 else None,
         "pieces": run.pieces,
         "contradictions": run.contradictions,
+        "undecided": float(is_open.mean()),
     }
 
 
@@ -506,7 +509,7 @@ def format_adaptation(adaptation: dict[str, Any]) -> list[str]:
     """Return what became of K as lines of text."""
     before, K = adaptation["K_calibrated"], adaptation["K"]
     interval = f"{adaptation['K_low']:.3g} to {adaptation['K_high']:.3g}"
-    pieces, contradictions = adaptation["pieces"], adaptation["contradictions"]
+    pieces, undecided = adaptation["pieces"], adaptation["undecided"]
     if adaptation["changed_at_s"] is not None:
         lines = [
             f"adapted   the shape changed before {adaptation['changed_at_s']:.6g} s: K from "
@@ -514,8 +517,11 @@ def format_adaptation(adaptation: dict[str, Any]) -> list[str]:
         ]
     else:
         lines = [f"adapted   K stays {K:.3g} ({interval}): no evidence excludes it"]
-    lines.append(f"          {pieces} pieces of evidence, {contradictions} that fit no sheath")
-    if 2 * contradictions > pieces or not pieces:
+    lines.append(
+        f"          {pieces} pieces of evidence, {adaptation['contradictions']} with a tip that "
+        f"moved far; K unknown within its bounds in {undecided:.0%} of time"
+    )
+    if undecided > 0.5 or not pieces:
         lines.append(
             "WARNING   adaptation cannot decide: the tip moves by itself, or too little is pulled; "
             "calibrate if in doubt"

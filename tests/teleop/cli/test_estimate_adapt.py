@@ -1,13 +1,15 @@
 """`teleop estimate --adapt` on the chain of the estimator's test, and on the study's pair."""
 
 import json
+from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
 from slave.rigs.replayed_data import ReplayedRig, ReplayedRigConfig
 from slave.rigs.virtual_bench import load_rig_config, simulate
-from studies.adaptation import simulate_use
+from studies.adaptation import RATE, simulate_use
 from teleop.cli import commands
 from teleop.data.measured_table import write_table
 from tests.estimator.test_adaptation import simulate as simulate_chain
@@ -27,6 +29,41 @@ def test_what_became_of_k_is_reported_with_the_gain(tmp_path, capsys):
     fixed = summary["adaptation"]["fixed_K_error"]["rmse_N"]
     assert summary["force_error"]["rmse_N"] < 0.8 * fixed
     assert "the shape changed before" in capsys.readouterr().out
+
+
+def write_use(folder, use):
+    """Write the config and the data of a joint in use; return the words that adapt to them."""
+    tendons = [
+        {"sheath": {"sections": [{"length": s.length, "radius": s.radius} for s in sheath.sections],
+                    "friction": sheath.friction, "axial_stiffness": sheath.axial_stiffness}}
+        for sheath in (model.sheath for model in use.models)
+    ]  # fmt: skip
+    rig = {"type": "simulated", "joints": [{"tendons": tendons}]}
+    config, data, out = (folder / name for name in ("pair.yaml", "use.csv", "out.json"))
+    config.write_text(yaml.safe_dump({"slave": {"calibration": "as-built", "rig": rig}}))
+    rows = {"time_s": use.time}
+    for k in range(len(tendons)):
+        suffix = f"_{k + 1}" if k else ""
+        rows[f"proximal_tension{suffix}_N"] = use.tension[:, k]
+        rows[f"proximal_displacement{suffix}_m"] = use.travel[:, k]
+        rows[f"distal_tension{suffix}_N"] = use.tip[:, k]
+    write_table(data, rows)
+    return ["estimate", str(data), "--config", str(config), "--adapt", "--json", str(out)]
+
+
+@pytest.mark.parametrize("is_moved", [False, True])
+def test_only_a_tip_that_something_else_moves_leaves_adaptation_undecided(
+    tmp_path, capsys, is_moved
+):
+    use = simulate_use(24, pair=False)  # its tip follows far, most of the time
+    if is_moved:
+        noise = np.random.default_rng(1).normal(0.0, 1e-3, use.travel.shape)
+        use.travel[:] += np.cumsum(noise, axis=0) / np.sqrt(RATE)
+    words = write_use(tmp_path, use)
+    assert commands.main(words) == 0
+    adaptation = json.loads(Path(words[-1]).read_text())["adaptation"]
+    assert 2 * adaptation["contradictions"] > adaptation["pieces"]
+    assert ("adaptation cannot decide" in capsys.readouterr().out) is is_moved
 
 
 def test_a_sensing_loop_in_the_data_is_used(tmp_path, refused):
@@ -59,23 +96,9 @@ def test_adaptation_needs_a_travel_and_a_model_from_before(tmp_path, refused):
 
 def test_both_tendons_of_a_pair_are_adapted_together(tmp_path, refused):
     use = simulate_use(22, pair=True)
-    tendons = [
-        {"sheath": {"sections": [{"length": s.length, "radius": s.radius} for s in sheath.sections],
-                    "friction": sheath.friction, "axial_stiffness": sheath.axial_stiffness}}
-        for sheath in (model.sheath for model in use.models)
-    ]  # fmt: skip
-    rig = {"type": "simulated", "joints": [{"tendons": tendons}]}
-    config, data, out = (tmp_path / name for name in ("pair.yaml", "use.csv", "out.json"))
-    config.write_text(yaml.safe_dump({"slave": {"calibration": "as-built", "rig": rig}}))
-    rows = {"time_s": use.time}
-    for k, suffix in enumerate(("", "_2")):
-        rows[f"proximal_tension{suffix}_N"] = use.tension[:, k]
-        rows[f"proximal_displacement{suffix}_m"] = use.travel[:, k]
-        rows[f"distal_tension{suffix}_N"] = use.tip[:, k]
-    write_table(data, rows)
-    words = ["estimate", str(data), "--config", str(config), "--adapt", "--json", str(out)]
+    words = write_use(tmp_path, use)
     assert commands.main(words) == 0
-    summary = json.loads(out.read_text())
+    summary = json.loads(Path(words[-1]).read_text())
     assert summary["tendon"] == "1a"
     assert summary["adaptation"]["K"] == pytest.approx(use.K_after[0], rel=0.15)
     fixed = summary["adaptation"]["fixed_K_error"]["rmse_N"]
