@@ -9,13 +9,16 @@ which is zero if the interval contains zero. The rendered force lies between it 
 less the margin m by which it is smaller with another K of its interval (adaptation; else 0):
 
     f_port = c + w (g - c),   |g| = max(|f| - m, |c|)
-    w = 1 for h <= full |f|,  0 for h >= none |f|,  linear in between,   h = (high - low) / 2
+    w = 1 for d <= full |f|,  0 for d >= none |f|,  linear in between
+
+where d is half the interval's width, or the distance from f to the interval's end towards zero if
+that is larger: an estimate at the far end of a wide interval may be all too much.
 
 It never exceeds g, never has the opposite sign, is never below the certain force, and is continuous
 in all four numbers: for |f| -> 0, c equals f.
 
-With a margin of `MARGIN_MIN` |f| and more, w compares the distance from g to the interval's end
-towards zero with |g| instead. A tip that sticks has T_in e^-K and T_in e^K as ends: their distance
+With a margin of `MARGIN_MIN` |f| and more, w compares the distance from g to that end with |g|
+instead. A tip that sticks has T_in e^-K and T_in e^K as ends: their distance
 would render less, then more again as T_in falls, and a hand would oscillate on it. By the lower end
 alone, the force never grows as T_in falls.
 
@@ -42,11 +45,11 @@ MARGIN_MIN = 0.05
 
 @dataclass(frozen=True, slots=True)
 class ConfidenceConfig:
-    """Range of the interval's relative half-width over which an estimate is attenuated."""
+    """Range of the interval's relative width over which an estimate is attenuated."""
 
-    # half-width over |force| up to which the full estimate is rendered
+    # d over |force| up to which the full estimate is rendered
     full: float = build_ranged_field(0.5, 0.0, 1e3)
-    # half-width over |force| from which on only the certain force is rendered
+    # d over |force| from which on only the certain force is rendered
     none: float = 1.5
 
     def __post_init__(self) -> None:
@@ -84,9 +87,10 @@ def attenuate_force(
     if least == 0.0:
         return 0.0
     # divide before subtracting: the ends may be near overflow
-    weight = _compute_weight(config, 0.5 * high / size - 0.5 * low / size)
+    near = low if force > 0.0 else -high
+    weight = _compute_weight(config, max(0.5 * high / size - 0.5 * low / size, 1.0 - near / size))
     if margin > 0.0:
-        one_sided = _compute_weight(config, 1.0 - (low if force > 0.0 else -high) / least)
+        one_sided = _compute_weight(config, 1.0 - near / least)
         weight += min(margin / size / MARGIN_MIN, 1.0) * (one_sided - weight)
     rendered = certain + weight * (least - certain)
     return math.copysign(min(rendered, abs(force)), force)
@@ -94,7 +98,7 @@ def attenuate_force(
 
 @jit_compile
 def _compute_weight(config: ConfidenceConfig, width: float) -> float:
-    """Return the rendered part of what is not certain, by the interval's relative half-width."""
+    """Return the rendered part of what is not certain, by the interval's relative `width`."""
     return min(max((config.none - width) / (config.none - config.full), 0.0), 1.0)
 
 

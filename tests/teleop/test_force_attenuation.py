@@ -59,6 +59,17 @@ def test_without_a_margin_both_ends_count_and_with_one_the_end_towards_zero(
     )
 
 
+@given(RULES, FORCES, st.floats(0.0, 100.0), st.floats(0.0, 100.0), MARGINS)
+@example(RULE, 20.0, 20.0, 0.0, 0.0)
+def test_an_estimate_at_the_far_end_of_its_interval_is_rendered_as_one_in_the_middle(
+    rule, force, towards_zero, beyond, margin
+):
+    ends = sorted(force - math.copysign(d, force) for d in (towards_zero, -beyond))
+    middle = force - towards_zero, force + towards_zero
+    felt = abs(attenuate_force(rule, force, *ends, margin))
+    assert felt <= abs(attenuate_force(rule, force, *middle, margin)) + 1e-9
+
+
 @given(
     RULES,
     FORCES,
@@ -89,6 +100,7 @@ def test_the_rule_in_numbers():
     assert attenuate_force(rule, 10.0, -5.0, 25.0, 0.0) == 0.0
     assert attenuate_force(rule, 4.0, 3.0, 23.0, 0.0) == 3.0  # far too wide: what is certain
     assert attenuate_force(rule, -10.0, -20.0, 0.0, 0.0) == pytest.approx(-5.0)
+    assert attenuate_force(rule, 20.0, 0.0, 20.0, 0.0) == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize("ends", [(1.0, -1.0), (math.nan, 1.0), (1.0, math.nan)])
