@@ -19,6 +19,7 @@ QUICK = and not slow
 test-all: QUICK :=
 test test-all: test-no-clock test-clock
 test-no-clock test-clock: export PYTHONDONTWRITEBYTECODE :=  # hundreds of processes import the same modules
+test-no-clock test-clock: export OPENBLAS_NUM_THREADS := 1
 test-no-clock: .venv/dev.done
 	@$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --reruns 1 -m "not real_time $(QUICK)" $(ARGS) || [ $$? = 5 ]
 test-clock: .venv/dev.done
@@ -70,10 +71,10 @@ clean:  ## remove the environment and everything made by running
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	@touch $@
 
-.venv/dev.done: .venv/run.done
-	@echo "Adding the tools for tests and checks (once) ..."
+.venv/dev.done: .venv/bin/python pyproject.toml
+	@echo "Setting up .venv, with the tools for tests and checks (once) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
-	@touch $@
+	@touch .venv/run.done $@
 
 .cache/ros/done: .venv/bin/python pyproject.toml  # apart: rclpy brings packages of common names
 	@echo "Setting up .cache/ros with ROS 2 for Python (once) ..."
