@@ -38,7 +38,6 @@ _LATE_CAN = (  # imported by the driver's process and that of the drives
 CAN_CHECKS = "can"
 SILENCE_MAX_S = 120.0  # of the processor's time that a machine works without a result
 HANGING_S = 120.0  # of the wall in which it gets no work done at all
-_MACHINES_MAX = 2
 
 
 def run(names: list[str], by_the_wall: bool, folder: Path) -> int:
@@ -53,9 +52,7 @@ def run(names: list[str], by_the_wall: bool, folder: Path) -> int:
             vmlinuz, modules = find_kernel()
             initrd = folder / "initrd"
             initrd.write_bytes(image.build_image("studies.kernel.hid_guest", _LATE, modules))
-            count = 1 if by_the_wall else min(_MACHINES_MAX, len(devices), os.cpu_count() or 1)
-            words = [f"devices={','.join(devices[k::count])}" for k in range(count)]
-            machines += [(vmlinuz, initrd, text) for text in words]
+            machines.append((vmlinuz, initrd, f"devices={','.join(devices)}"))
         if CAN_CHECKS in names:
             vmlinuz, modules = find_kernel(CAN)
             initrd = folder / "initrd-can"

@@ -72,7 +72,7 @@ _WRITES = {
 # --- the checks, one function each
 
 
-REPORTS = 2000  # to be read and written, each
+REPORTS = 1000  # to be read and written, each
 RATE_HZ = 1000.0
 RATE_MIN_HZ = 950.0
 FORGET_MAX_S = 0.250  # after the death of the process that pushed
@@ -179,7 +179,7 @@ def signs(case: Case, rig: Plugged) -> Figures:
 
 
 def loop(case: Case, rig: Plugged) -> Figures:
-    """2000 reports read and decoded, 2000 forces encoded and written, in one loop at 1 kHz."""
+    """1000 reports read and decoded, 1000 forces encoded and written, in one loop at 1 kHz."""
     decoded: list[Shares] = []
     sent: list[Sent] = []
     with _open_node(case) as node:
