@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.adaptation import FACTOR_MAX, FACTOR_MIN, GROWTH, run_adapting
+from estimator.compiled import jit_compile
 from estimator.law import play_profile
 from estimator.law.sheath import Sheath
 from estimator.law.tables import build_tables
@@ -17,6 +18,20 @@ from studies.adaptation import UNCHANGED, simulate_use
 RATE, CHANGE_S, DURATION_S = 200.0, 15.0, 50.0
 LENGTH, EA, NODES, SPRING = 1.5, 9000.0, 45, 1500.0
 MODEL = TendonModel(Sheath.uniform(1.0, LENGTH, EA), 0.02, 1e-6)
+
+
+@jit_compile
+def sweep(T_in, ratios):
+    """Return T_out and the stretch of a chain whose nodes' friction changes from row to row."""
+    nodes, T_out, e = np.zeros(NODES + 1), np.zeros(len(T_in)), np.zeros(len(T_in))
+    for k in range(len(T_in)):
+        nodes[0] = T_in[k]
+        for i in range(NODES):
+            ratio = ratios[k, i]
+            nodes[i + 1] = min(max(nodes[i + 1], nodes[i] / ratio), nodes[i] * ratio)
+        T_out[k] = nodes[-1]
+        e[k] = (nodes[:-1] + nodes[1:]).sum() * 0.5 * LENGTH / NODES / EA
+    return T_out, e
 
 
 def simulate(K_after, third=None, drift=0.0, creep=0.0, moving_tip=0.0, seed=1, rest=DURATION_S):
@@ -37,14 +52,7 @@ def simulate(K_after, third=None, drift=0.0, creep=0.0, moving_tip=0.0, seed=1, 
     scale = np.ones(NODES)
     part = slice(None) if third is None else slice(third * NODES // 3, (third + 1) * NODES // 3)
     scale[part] += (K_after - 1.0) * (1.0 if third is None else 3.0)
-    nodes, T_out, e = np.zeros(NODES + 1), np.zeros(len(time)), np.zeros(len(time))
-    for k, T in enumerate(T_in):
-        nodes[0] = T
-        ratios = np.exp((scale if time[k] > CHANGE_S else np.ones(NODES)) / NODES)
-        for i, ratio in enumerate(ratios.tolist()):
-            nodes[i + 1] = min(max(nodes[i + 1], nodes[i] / ratio), nodes[i] * ratio)
-        T_out[k] = nodes[-1]
-        e[k] = (nodes[:-1] + nodes[1:]).sum() * 0.5 * LENGTH / NODES / EA
+    T_out, e = sweep(T_in, np.exp(np.where(time[:, None] > CHANGE_S, scale, 1.0) / NODES))
     lag = np.zeros(len(time))
     for k in range(1, len(time)):
         lag[k] = lag[k - 1] + (creep * e[k] - lag[k - 1]) / (8.0 * RATE)

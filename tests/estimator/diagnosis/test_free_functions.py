@@ -112,7 +112,7 @@ def test_a_curve_is_as_smooth_as_held_out_samples_favour(variable, seed):
 @pytest.mark.parametrize(
     ("seed", "bench"),
     [
-        (401, "spring"),  # as long as two blocks
+        pytest.param(401, "spring", marks=pytest.mark.slow),  # as long as two blocks
         pytest.param(701, "spring", marks=pytest.mark.slow),  # three of it, seen by halves
         (702, "blocked"),  # without it errors last long, and few samples count
     ],

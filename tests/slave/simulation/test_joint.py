@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from estimator.compiled import jit_compile
 from slave.rigs.simulated import JointConfig, TendonPlantConfig, build_joint
 from slave.simulation.environment import (
     CombinedEnvironmentConfig,
@@ -40,15 +41,21 @@ def loose(joint):
     return joint._replace(a=tendon, b=tendon)
 
 
-def swing(joint, seconds, dt=1e-3, state=None, motors=lambda _: (0.0, 0.0)):
-    """Advance; return the travel and speed after each step, and the truth, (steps, 4, 2)."""
-    state = state or init_joint(joint)
-    rows, seen = [], []
-    for k in range(round(seconds / dt)):
-        state = advance_joint(joint, state, np.array(motors((k + 1) * dt)), 1, dt)
-        rows.append((state.travel, state.speed))
-        seen.append(compute_truth(joint, state))
-    return np.array(rows).T, np.array(seen), state
+@jit_compile
+def advance(joint, state, targets, dt):
+    """Return the state at last and, after each step, travel, speed and pulley, and the truth."""
+    rows, seen = np.empty((3, len(targets))), np.empty((len(targets), 4, 2))
+    for k in range(len(targets)):
+        state = advance_joint(joint, state, targets[k], 1, dt)
+        rows[0, k], rows[1, k], rows[2, k] = state.travel, state.speed, state.pulley
+        seen[k] = compute_truth(joint, state)
+    return state, rows, seen
+
+
+def swing(joint, seconds, dt=1e-3, state=None):
+    """Advance with motors that rest; return the travel and the speed after each step."""
+    state = init_joint(joint) if state is None else state
+    return advance(joint, state, np.zeros((round(seconds / dt), 2)), dt)[1][:2]
 
 
 # --- the body by itself
@@ -60,7 +67,7 @@ def test_a_free_joint_swings_at_its_own_frequency_and_loses_only_what_the_step_t
     joint, omega = loose(joint_of(body)), 20.0
     start = init_joint(joint)._replace(travel=0.005)
     for dt in (1e-3, 2e-4):
-        (travel, _), _, _ = swing(joint, 1.0, dt, start)
+        travel, _ = swing(joint, 1.0, dt, start)
         time = np.arange(1, len(travel) + 1) * dt
         crossings = time[1:][np.diff(np.sign(travel)) != 0]
         frequency = math.pi / np.diff(crossings).mean()
@@ -89,7 +96,7 @@ def test_it_obeys_the_equation_of_motion_that_an_integrator_solves():
     exact = solve_ivp(motion, (0, 1), (0, 0), rtol=1e-8, atol=1e-11, max_step=2e-3, dense_output=1)
     errors = []
     for dt in (4e-4, 1e-4):
-        (travel, _), _, _ = swing(joint, 1.0, dt)
+        travel, _ = swing(joint, 1.0, dt)
         error = travel - exact.sol(np.arange(1, len(travel) + 1) * dt)[0]
         errors.append(np.abs(error).max())
     assert np.ptp(exact.y[0]) > 0.01
@@ -102,10 +109,10 @@ def test_a_stuck_joint_does_not_creep():
     body = BodyConfig(mass=0.05, friction=2.0, spring=0.0, damping=0.0, pretension=0.0)
     push = LoadMotorConfig(profile=((0.0, 0.0), (0.1, 1.99), (0.2, -1.99)), repeat=True)
     joint = loose(joint_of(body, push))
-    (travel, speed), _, _ = swing(joint, 5.0)
+    travel, speed = swing(joint, 5.0)
     assert not travel.any()
     assert not speed.any()
-    (travel, _), _, _ = swing(loose(joint_of(replace(body, friction=1.9), push)), 5.0)
+    travel, _ = swing(loose(joint_of(replace(body, friction=1.9), push)), 5.0)
     assert np.ptp(travel) > 1e-4
 
 
@@ -113,7 +120,7 @@ def test_a_stop_is_rigid_and_gives_nothing_back():
     body = BodyConfig(mass=0.1, spring=0.0, damping=0.0, pretension=0.0, stops=(-0.01, 0.002))
     joint = loose(joint_of(body))
     start = init_joint(joint)._replace(speed=0.1)
-    (travel, speed), _, _ = swing(joint, 0.1, 1e-3, start)
+    travel, speed = swing(joint, 0.1, 1e-3, start)
     assert travel.max() == 0.002 == travel[-1]
     assert speed[-1] == 0.0
     assert np.all(np.diff(travel) >= 0.0)
@@ -146,24 +153,16 @@ def test_body_and_environment_never_hold_more_energy_than_the_tendons_gave(
     )
     joint = joint_of(body, world, tendons)
 
-    def energy(state):
-        q = state.travel
-        tissue, wall = max(0.0, q - depth), max(0.0, -0.004 - q)
+    def energy(q, v):
+        tissue, wall = np.maximum(0.0, q - depth), np.maximum(0.0, -0.004 - q)
         elastic = 0.5 * body.spring * q * q + joint.body.pull_back * q
-        return (
-            0.5 * body.mass * state.speed**2 + elastic + 0.4 * 5e4 * tissue**2.5 + 1e4 * wall * wall
-        )
+        return 0.5 * body.mass * v**2 + elastic + 0.4 * 5e4 * tissue**2.5 + 1e4 * wall * wall
 
-    state = init_joint(joint)
-    before = energy(state)
-    for target in motors:
-        for _ in range(30):
-            at = state.pulley
-            state = advance_joint(joint, state, np.array(target), 1, 1e-3)
-            _, _, (a, b), _ = compute_truth(joint, state)
-            after = energy(state)
-            assert after - before <= (a - b) * (state.pulley - at) + 1e-9
-            before = after
+    start = init_joint(joint)
+    _, (travel, speed, pulley), seen = advance(joint, start, np.repeat(motors, 30, axis=0), 1e-3)
+    gain = np.diff(energy(travel, speed), prepend=energy(start.travel, start.speed))
+    a, b = seen[:, T_OUT].T
+    assert np.all(gain <= (a - b) * np.diff(pulley, prepend=start.pulley) + 1e-9)
 
 
 # --- with its tendons
@@ -179,13 +178,10 @@ def test_backlash_is_crossed_where_the_load_changes_sides_and_nowhere_else():
         )
     )
     joint = joint_of(body, walls, tendons=2)
-    state, rows = init_joint(joint), []
-    for k in range(4000):
-        wave = 0.003 * math.sin(2.0 * math.pi * k / 2000)
-        state = advance_joint(joint, state, np.array((wave, -wave)), 1, 1e-3)
-        _, _, (a, b), _ = compute_truth(joint, state)
-        rows.append((state.pulley - state.travel, a - b, state.travel))
-    gap, force, travel = np.array(rows).T
+    wave = 0.003 * np.sin(2.0 * math.pi * np.arange(4000) / 2000)
+    targets = np.stack((wave, -wave), axis=1)
+    _, (travel, _, pulley), seen = advance(joint, init_joint(joint), targets, 1e-3)
+    gap, force = pulley - travel, seen[:, T_OUT, 0] - seen[:, T_OUT, 1]
     assert np.abs(gap).max() <= play / 2 * (1 + 1e-9)
     loaded = np.abs(force) > 1e-6
     assert gap[loaded] == pytest.approx(np.sign(force[loaded]) * play / 2, abs=1e-12)
@@ -202,11 +198,9 @@ def test_joints_in_a_rig_are_the_joints_alone():
     )
     joints = [build_joint(config) for config in configs]
     together = to_compiled_list([init_joint(joint) for joint in joints])
-    alone = [init_joint(joint) for joint in joints]
     compiled = to_compiled_list(joints)
-    for k in range(200):
-        targets = np.array([[2e-5 * k, 0.0], [-1e-5 * k, 2e-5 * k]])
-        seen = advance_joints(compiled, together, targets, 1, 1e-3)
-        for i, joint in enumerate(joints):
-            alone[i] = advance_joint(joint, alone[i], targets[i], 1, 1e-3)
-            assert np.allclose(seen[:, i], compute_truth(joint, alone[i]), rtol=1e-12, atol=1e-15)
+    targets = np.arange(200)[:, None, None] * np.array([[2e-5, 0.0], [-1e-5, 2e-5]])
+    seen = np.array([advance_joints(compiled, together, t, 1, 1e-3) for t in targets])
+    for i, joint in enumerate(joints):
+        _, _, alone = advance(joint, init_joint(joint), targets[:, i].copy(), 1e-3)
+        assert np.allclose(seen[:, :, i], alone, rtol=1e-12, atol=1e-15)
