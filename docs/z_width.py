@@ -16,13 +16,14 @@ from matplotlib.figure import Figure
 
 from estimator.array_types import Array
 from estimator.figure_style import STYLE
+from studies.testbed.parallel import map_in_parallel
 from studies.transparency import zwidth
 from studies.transparency.hand import DT
 from studies.transparency.rig import TENDON, Rig, build_wall
 from studies.transparency.study import CONTACT, FRICTION, HANDS, PRETENSION, SPRING, Study
 from studies.transparency.system import Network, Teleoperator, build_rig_model, build_settings
 from teleop.coupling import Bilateral
-from teleop.runtime.parallel import count_processors, map_in_parallel
+from teleop.runtime.machine import count_processors
 
 IMAGE = Path(__file__).parent / "images" / "z-width.svg"
 STUDY = Study()

@@ -17,8 +17,7 @@ import zenoh
 
 from studies.testbed.command import parse_options
 from studies.testbed.observed import ObservedSession
-from studies.testbed.processes import START_S, find_free_ports, read_processor_s
-from teleop.launch.supervisor import wait_for_condition
+from studies.testbed.processes import START_S, find_free_ports, read_processor_s, wait_for_condition
 from teleop.runtime.child_process import end_process, start_module
 from teleop.runtime.clock import now_ns
 from teleop.runtime.process import write_text_file

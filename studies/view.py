@@ -36,9 +36,9 @@ from studies.testbed.processes import (
     Processes,
     read_memory_mb,
     read_processor_s,
+    wait_for_condition,
 )
 from teleop.config import loading
-from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.topics import TOPICS
 from teleop.recording.reader import open_recording, read_messages
 from teleop.runtime.process import STANDBY_VARIABLE

@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from studies.faults.session import FaultSession
-from studies.testbed.processes import pause
-from teleop.launch.supervisor import wait_for_condition
+from studies.testbed.processes import pause, wait_for_condition
 from teleop.runtime.clock import now_ns
 
 # --- a memory cgroup whose processes the kernel kills when they want more (root only)

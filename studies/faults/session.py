@@ -8,8 +8,14 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from studies.testbed.processes import OURS, START_S, Processes, find_free_ports, tell_proxy
-from teleop.launch.supervisor import wait_for_condition
+from studies.testbed.processes import (
+    OURS,
+    START_S,
+    Processes,
+    find_free_ports,
+    tell_proxy,
+    wait_for_condition,
+)
 from teleop.link import Link
 from teleop.messages.topics import HAND, STATE
 

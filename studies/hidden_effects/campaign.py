@@ -24,7 +24,8 @@ from estimator.effects import CATALOGUE
 from estimator.effects.effect import Effect, Parameter
 from studies import hidden_effects
 from studies.testbed.command import parse_options
-from teleop.runtime.parallel import count_processors, map_in_parallel
+from studies.testbed.parallel import map_in_parallel
+from teleop.runtime.machine import count_processors
 
 BENCHES = ("blocked", "spring")
 SIZES = (1.0, 0.5)

@@ -16,7 +16,8 @@ from estimator.diagnosis.record import prepare_record
 from studies import hidden_effects
 from studies.hidden_effects.play_grid import make_grid
 from studies.testbed.command import parse_options
-from teleop.runtime.parallel import count_processors, map_in_parallel
+from studies.testbed.parallel import map_in_parallel
+from teleop.runtime.machine import count_processors
 
 RATES = (50.0, 100.0, 500.0, 1000.0)
 NOISES = (0.0, 1e-7, 5e-7, 1e-6, 5e-6)  # [m]

@@ -22,7 +22,8 @@ from studies.paper.study import (
     run_experiment,
 )
 from studies.testbed.command import parse_options
-from teleop.runtime.parallel import count_processors, map_in_parallel
+from studies.testbed.parallel import map_in_parallel
+from teleop.runtime.machine import count_processors
 from teleop.runtime.status_line import Progress
 
 

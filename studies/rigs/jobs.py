@@ -22,8 +22,7 @@ from studies.rigs import session
 from studies.rigs.bench import TRUE_K, Model, write_config
 from studies.rigs.session import Session
 from studies.testbed.command import parse_options
-from studies.testbed.processes import START_S
-from teleop.launch.supervisor import wait_for_condition
+from studies.testbed.processes import START_S, wait_for_condition
 
 DRIVERS = ("microcontroller", "dynamixel", "cia402")
 RUN_S = 5.0

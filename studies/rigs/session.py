@@ -7,8 +7,7 @@ import time
 from pathlib import Path
 
 from studies.rigs.bench import BUS, Model
-from studies.testbed.processes import START_S, Processes
-from teleop.launch.supervisor import wait_for_condition
+from studies.testbed.processes import START_S, Processes, wait_for_condition
 from teleop.messages.messages import Hand
 from teleop.messages.topics import HAND
 from teleop.session.state_machine import State

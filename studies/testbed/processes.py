@@ -8,13 +8,12 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import BinaryIO
 
 from teleop.errors import TeleopError
-from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link, LinkConfig
 from teleop.link.bridge import send_request
 from teleop.messages.messages import Hand, SlaveState
@@ -31,6 +30,18 @@ OURS = os.environ | {SUPERVISED_VARIABLE: str(os.getpid())}
 def has_ended_well(code: int, said: str) -> bool:
     """Whether a session ended as it should; its recording may lack what a busy machine dropped."""
     return code == 0 or (code == 1 and "messages are missing" in said)
+
+
+def wait_for_condition(
+    condition: Callable[[], bool], timeout_s: float, poll_s: float = 0.02
+) -> bool:
+    """Wait until `condition` holds; return whether it does in time."""
+    end = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() >= end:
+            return False
+        time.sleep(poll_s)
+    return True
 
 
 def find_free_ports(count: int) -> list[int]:

@@ -15,9 +15,10 @@ from functools import partial
 from typing import Any
 
 from studies.testbed.command import parse_options
+from studies.testbed.parallel import map_in_parallel
 from studies.transparency import report, study
 from studies.transparency.study import COUPLINGS, Case, Study, Task
-from teleop.runtime.parallel import count_processors, map_in_parallel
+from teleop.runtime.machine import count_processors
 from teleop.runtime.status_line import Progress
 
 

@@ -31,12 +31,12 @@ from teleop.runtime.child_process import start_module
 from teleop.runtime.clock import Grid
 from teleop.runtime.files import find_config_folder, find_state_folder
 from teleop.runtime.machine import (
+    count_processors,
     describe_machine,
     find_container,
     find_display_problem,
     find_realtime_remedy,
 )
-from teleop.runtime.parallel import count_processors
 from teleop.runtime.process import STANDBY_VARIABLE
 
 DISTRIBUTION = "tendon-teleop"

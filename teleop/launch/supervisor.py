@@ -318,15 +318,3 @@ def wait_for_exit(child: Child) -> bool:
             return False
         time.sleep(_POLL_S)
     return True
-
-
-def wait_for_condition(
-    condition: Callable[[], bool], timeout_s: float, poll_s: float = 0.02
-) -> bool:
-    """Wait until `condition` holds; return whether it does in time."""
-    end = time.monotonic() + timeout_s
-    while not condition():
-        if time.monotonic() >= end:
-            return False
-        time.sleep(poll_s)
-    return True

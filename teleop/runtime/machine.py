@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 ROOT = Path("/")  # of the files that tell
+CPU_QUOTA = Path("/sys/fs/cgroup/cpu.max")  # of a container: microseconds in a period, or max
 _CONTAINER_FILES = {".dockerenv": "Docker", "run/.containerenv": "Podman"}
 
 
@@ -32,6 +33,17 @@ def describe_machine() -> str:
     container = find_container()
     place = f", in a container ({container})" if container else ", in WSL" if is_wsl() else ""
     return f"{platform.system()} {platform.release()}{place}"
+
+
+def count_processors() -> int:
+    """Return the number of processors that this process may use, by its cores and its quota."""
+    cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
+    with suppress(OSError, ValueError):
+        quota, period = map(float, CPU_QUOTA.read_text().split())
+        return max(1, min(cores, int(quota / period)))
+    return cores
 
 
 def find_realtime_remedy() -> str:

@@ -1,7 +1,7 @@
 """What a device says when it is read."""
 
 from master.device import DeviceLost
-from teleop.launch.supervisor import wait_for_condition
+from studies.testbed.processes import wait_for_condition
 
 
 def said(device):

@@ -1,6 +1,6 @@
 """A device of another package: what it gets wrong is named, and felt by nobody."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -12,10 +12,6 @@ from master.devices.extension import DeviceExtension
 from teleop.errors import UsageError
 
 FOUR = (0.0, 0.1, 0.2, 0.3)
-
-
-def vars_of(hand):
-    return {field.name: getattr(hand, field.name) for field in fields(hand)}
 
 
 class Pen:

@@ -16,9 +16,9 @@ from master.devices.virtual import VirtualConfig
 from studies.hid import descriptors
 from studies.hid.virtual.arduino import Arduino
 from studies.hid.virtual.openffboard import OpenFFBoard
+from studies.testbed.processes import wait_for_condition
 from teleop.config.loading import load
 from teleop.errors import UsageError
-from teleop.launch.supervisor import wait_for_condition
 from tests.master.reading import comes_back
 
 BUTTONS = ("clutch", "stop", "finer", "coarser", "weaker", "stronger")

@@ -7,9 +7,14 @@ import sys
 
 import pytest
 
-from studies.testbed.processes import OURS, START_S, find_free_ports, has_ended_well
+from studies.testbed.processes import (
+    OURS,
+    START_S,
+    find_free_ports,
+    has_ended_well,
+    wait_for_condition,
+)
 from teleop.cli import commands
-from teleop.launch.supervisor import wait_for_condition
 from tests.system.namespaces import Network, require_namespaces
 
 pytestmark = pytest.mark.slow

@@ -7,9 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from studies.testbed.processes import START_S, pause
+from studies.testbed.processes import START_S, pause, wait_for_condition
 from teleop.cli import commands
-from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.recording.reader import open_recording, read_columns
 from teleop.runtime.clock import now_ns

@@ -7,8 +7,7 @@ import time
 
 import pytest
 
-from studies.testbed.processes import OURS, START_S, Processes
-from teleop.launch.supervisor import wait_for_condition
+from studies.testbed.processes import OURS, START_S, Processes, wait_for_condition
 from teleop.messages.messages import LAYOUT, Event, decode_text
 from teleop.messages.topics import EVENT, HAND, STATE, Role
 from teleop.security import CertificateRole

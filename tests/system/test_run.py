@@ -17,8 +17,8 @@ from studies.testbed.processes import (
     find_free_ports,
     has_ended_well,
     pause,
+    wait_for_condition,
 )
-from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.topics import HAND, TENDONS
 from teleop.recording.reader import read_columns
 from teleop.session.state_machine import State

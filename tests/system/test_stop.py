@@ -9,9 +9,8 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 import numpy as np
 import pytest
 
-from studies.testbed.processes import START_S, Processes, pause
+from studies.testbed.processes import START_S, Processes, pause, wait_for_condition
 from teleop.cli import commands
-from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.topics import COMMAND, EVENT, HAND, STATE, STOP, TENDONS, Role
 from teleop.recording.reader import read_columns
 from teleop.session.state_machine import Reason, State

@@ -18,7 +18,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 import pytest
 
 from studies.testbed import browser
-from teleop.launch.supervisor import wait_for_condition
+from studies.testbed.processes import wait_for_condition
 from teleop.view.columns import decode
 from teleop.view.foxglove_server import FoxgloveServer
 from teleop.view.scene import Scene

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from studies.testbed import browser
-from studies.testbed.processes import find_free_ports
-from teleop.launch.supervisor import wait_for_condition
+from studies.testbed.processes import find_free_ports, wait_for_condition
 from teleop.view.colours import STATES
 from teleop.view.columns import decode
 from teleop.view.scene import Scene

@@ -15,14 +15,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from studies.testbed.processes import find_free_ports
+from studies.testbed.processes import find_free_ports, wait_for_condition
 from teleop.config.loading import ConfigDocument
 from teleop.errors import TeleopError, UsageError
 from teleop.impair import command, model
 from teleop.impair.config import DirectionConfig, ImpairConfig
 from teleop.impair.direction import ENTRY_BYTES, DelayQueue, Direction
 from teleop.impair.model import DeliveryFlags, StreamState
-from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link, LinkConfig
 from teleop.link.bridge import send_request
 from teleop.messages.messages import Command, Event, MessageError, SlaveState, encode_text

@@ -7,7 +7,7 @@ import socket
 import pytest
 
 from teleop.cli import doctor
-from teleop.runtime import machine, parallel
+from teleop.runtime import machine
 from teleop.runtime.process import has_display
 
 
@@ -87,8 +87,8 @@ def test_wayland_needs_its_socket_and_wsl_a_graphics_card(monkeypatch, tmp_path)
 
 @pytest.mark.parametrize(("quota", "count"), [("150000 100000", 1), ("max 100000", 8), ("", 8)])
 def test_processors_are_counted_as_a_container_may_use_them(monkeypatch, tmp_path, quota, count):
-    monkeypatch.setattr(parallel, "CPU_QUOTA", tmp_path / "cpu.max")
+    monkeypatch.setattr(machine, "CPU_QUOTA", tmp_path / "cpu.max")
     monkeypatch.setattr(os, "sched_getaffinity", lambda _process: range(8))
     (tmp_path / "cpu.max").write_text(quota)
-    assert parallel.count_processors() == count
+    assert machine.count_processors() == count
     assert doctor.check_processors().detail == str(count)

@@ -18,7 +18,7 @@ from teleop.cli.bench.metric import Metric, Row
 from teleop.config.loading import ConfigDocument
 from teleop.config.options import add_option
 from teleop.errors import UsageError
-from teleop.runtime.parallel import count_processors
+from teleop.runtime.machine import count_processors
 from teleop.runtime.process import parse_seconds, write_summary
 from teleop.session.config import RunConfig
 

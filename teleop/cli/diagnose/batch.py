@@ -16,7 +16,7 @@ from estimator.report_table import Table
 from teleop.cli.diagnose import diagnosis_run, travels
 from teleop.errors import TeleopError, UsageError
 from teleop.ros.bag_table import is_bag
-from teleop.runtime.parallel import count_processors
+from teleop.runtime.machine import count_processors
 from teleop.runtime.process import write_summary
 from teleop.runtime.status_line import Progress
 

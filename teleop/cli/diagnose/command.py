@@ -25,8 +25,8 @@ from pathlib import Path
 
 from estimator.diagnosis.settings import SETTINGS
 from teleop.config.options import TABLE_OPTIONS, add_option, add_options
+from teleop.runtime.machine import count_processors
 from teleop.runtime.output_file import OutputFolder, make_folder
-from teleop.runtime.parallel import count_processors
 from teleop.runtime.process import write_summary
 from teleop.runtime.status_line import Progress
 

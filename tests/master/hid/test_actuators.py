@@ -12,7 +12,7 @@ from master.devices.hid.input_map import AxisConfig, HidConfig
 from studies.hid import descriptors
 from studies.hid.virtual.catalogue import DEVICES
 from studies.hid.virtual.sidewinder import SideWinder
-from teleop.launch.supervisor import wait_for_condition
+from studies.testbed.processes import wait_for_condition
 from tests.master.reading import comes_back, reads, said
 
 BOARD = ActuatorReports(parse_descriptor(descriptors.openffboard()))

@@ -18,8 +18,8 @@ from studies.hid.virtual.catalogue import DEVICES
 from studies.hid.virtual.dualsense import DualSense
 from studies.hid.virtual.openffboard import OpenFFBoard
 from studies.hid.virtual.spacemouse import SpaceMouse
+from studies.testbed.processes import wait_for_condition
 from teleop.errors import UsageError
-from teleop.launch.supervisor import wait_for_condition
 
 CONFIG = HidConfig(
     axes=(AxisConfig("x", travel=0.1, force=2.0), AxisConfig("y", travel=0.1, force=4.0)),

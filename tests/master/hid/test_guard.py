@@ -10,7 +10,7 @@ import pytest
 
 from master.devices.hid import watchdog
 from master.devices.hid.watchdog import ForceWatchdog
-from teleop.launch.supervisor import wait_for_condition
+from studies.testbed.processes import wait_for_condition
 
 OWNER = """
 import sys, time

@@ -16,7 +16,7 @@ from studies.hid.virtual.logitech import Logitech
 from studies.hid.virtual.openffboard import OpenFFBoard, OpenFFBoardWheel
 from studies.hid.virtual.rhino import Rhino
 from studies.hid.virtual.spacemouse import SpaceMouse
-from teleop.launch.supervisor import wait_for_condition
+from studies.testbed.processes import wait_for_condition
 from tests.master.reading import comes_back, reads
 
 

@@ -6,7 +6,7 @@ from master.device import DeviceFault
 from master.devices.hid import device
 from master.devices.hid.device import DeviceReconnection
 from master.devices.hid.search import DeviceNotFoundError
-from teleop.launch.supervisor import wait_for_condition
+from studies.testbed.processes import wait_for_condition
 
 
 class Thing:

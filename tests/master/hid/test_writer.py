@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from master.device import DeviceFault
 from master.devices.hid import connection
 from master.devices.hid.connection import REARM_PERIOD_S, Writer, WriterState, step
-from teleop.launch.supervisor import wait_for_condition
+from studies.testbed.processes import wait_for_condition
 
 
 class TwoAxes:

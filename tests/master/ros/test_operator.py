@@ -14,9 +14,8 @@ from estimator.kinematics.arm import prepare_arm
 from estimator.kinematics.forward import compute_tip_pose
 from master.device import DeviceFault
 from master.devices.ros_device import RosDevice, RosDeviceConfig
-from studies.testbed.processes import START_S, Processes
+from studies.testbed.processes import START_S, Processes, wait_for_condition
 from teleop import load_config
-from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.messages import Event, decode_text
 from teleop.messages.topics import COMMAND, EVENT, STATE, TENDONS
 from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos

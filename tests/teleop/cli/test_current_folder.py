@@ -3,24 +3,23 @@
 import ast
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from tests.root import ROOT
 
-TELEOP = Path(sys.executable).with_name("teleop")
 PACKAGES = ("estimator", "teleop", "master", "slave")
 STARTERS = {"teleop/runtime/process.py", "master/devices/hid/watchdog.py"}  # that know how
 IN_PARALLEL = """
 import math
 import sys
+from multiprocessing import get_context
 import teleop.cli.doctor
 from teleop import __main__
-from teleop.runtime.parallel import map_in_parallel
 
 def work(args):
-    print(list(map_in_parallel(math.sqrt, [4.0, 9.0], 2)))
+    with get_context("spawn").Pool(2) as pool:
+        print(pool.map(math.sqrt, [4.0, 9.0]))
     return 0
 
 if __name__ == "__main__":

@@ -13,11 +13,12 @@ import pytest
 
 from slave.config import SlaveConfig
 from slave.rigs.replayed_data import ReplayedRigConfig
+from studies.testbed.processes import wait_for_condition
 from teleop.config.loading import ConfigDocument
 from teleop.errors import TeleopError
 from teleop.launch import launcher, watch
 from teleop.launch.console import Console, KeyReader, format_status
-from teleop.launch.supervisor import Supervisor, wait_for_condition
+from teleop.launch.supervisor import Supervisor
 from teleop.link import MessageCounts, ReceivedMessage
 from teleop.link.health import HealthConfig, LinkHealth
 from teleop.messages.messages import (

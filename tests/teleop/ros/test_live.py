@@ -6,9 +6,9 @@ import time
 import numpy as np
 import pytest
 
+from studies.testbed.processes import wait_for_condition
 from teleop.config.arm import ArmConfig, BendingSectionConfig
 from teleop.config.loading import ConfigDocument
-from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link
 from teleop.messages.messages import Hand, LoopReport, Sheath, SlaveState, TendonState, pad_values
 from teleop.messages.topics import COMMAND, HAND, REPORT, SHEATH, STATE, TENDONS, Role

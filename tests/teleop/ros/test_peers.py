@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from teleop.launch.supervisor import wait_for_condition
+from studies.testbed.processes import wait_for_condition
 from teleop.messages.messages import MESSAGES
 from teleop.ros.command import write_package
 from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos

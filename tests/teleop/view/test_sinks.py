@@ -15,8 +15,8 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
+from studies.testbed.processes import wait_for_condition
 from teleop.errors import TeleopError, UsageError
-from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.topics import HAND, TENDONS, TOPICS
 from teleop.view import sinks
 from teleop.view.columns import Sender, decode

@@ -3,29 +3,13 @@
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from multiprocessing import get_context
-from pathlib import Path
 from typing import TypeVar
 
 from teleop.runtime.process import die_with_parent
 
 Task = TypeVar("Task")
 Done = TypeVar("Done")
-
-
-CPU_QUOTA = Path("/sys/fs/cgroup/cpu.max")  # of a container: microseconds in a period, or max
-
-
-def count_processors() -> int:
-    """Return the number of processors that this process may use, by its cores and its quota."""
-    cores = (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
-    with suppress(OSError, ValueError):
-        quota, period = map(float, CPU_QUOTA.read_text().split())
-        return max(1, min(cores, int(quota / period)))
-    return cores
 
 
 def map_in_parallel(
