@@ -8,8 +8,8 @@ from matplotlib.lines import Line2D
 from estimator.array_types import Array
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.view import colours
-from teleop.view.arm_place import NUMBER_DISTANCE
 from teleop.view.clip_marks import Marks
+from teleop.view.scene_arm_geometry import NUMBER_DISTANCE
 from teleop.view.scene_geometry import ARROW, UP
 
 _UNCERTAIN = 0.35  # width of an arrow whose force may be 0, of that of others

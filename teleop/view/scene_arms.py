@@ -11,8 +11,8 @@ import rerun as rr
 from estimator.array_types import Array
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.view import colours
-from teleop.view.arm_place import NUMBER_DISTANCE, ArmPlace
 from teleop.view.columns import AnyTopic, Rows, build_columns
+from teleop.view.scene_arm_geometry import NUMBER_DISTANCE, ArmPlacement
 from teleop.view.scene_geometry import ARROW, UP
 from teleop.view.scene_sheaths import Painter
 
@@ -62,13 +62,13 @@ class Arms(Painter):
                 self._clear(f"{path}/hand/handle", stamp_ns, rr.Arrows3D)
         self._has_forces = False
 
-    def _list_places(self) -> list[tuple[str, ArmPlace]]:
+    def _list_places(self) -> list[tuple[str, ArmPlacement]]:
         """Return the arms that are placed, each with its entity."""
         stage = self._sheaths.stage
         arms = () if stage is None else stage.arms
         return [(f"scene/arm_{k}", place) for k, place in enumerate(arms)]
 
-    def _select_known(self, rows: Rows) -> Iterator[tuple[str, ArmPlace, Rows]]:
+    def _select_known(self, rows: Rows) -> Iterator[tuple[str, ArmPlacement, Rows]]:
         """Yield each arm with the rows in which all of its joints have positions."""
         for path, place in self._list_places():
             known = place.arm.find_known(rows)
@@ -92,7 +92,7 @@ class Arms(Painter):
             self._sender.send_columns(f"{path}/tendons", known, strips_of_tendons)
             self._draw_force(path, place, known, lines.tip)
 
-    def _draw_force(self, path: str, place: ArmPlace, rows: Rows, tips: Array) -> None:
+    def _draw_force(self, path: str, place: ArmPlacement, rows: Rows, tips: Array) -> None:
         """Draw the force on the tip, thin if it may be 0 in its direction, and its interval."""
         arm = place.arm
         forces = arm.estimate_tip_forces(rows)
@@ -143,7 +143,7 @@ class Arms(Painter):
             parts += build_columns(rr.Arrows3D, known, origins=at[known], vectors=vectors[known])
             self._sender.send_columns(f"{path}/hand/handle", rows, parts)
 
-    def _draw_axes(self, path: str, place: ArmPlace, origin: Array, rotation: Array) -> None:
+    def _draw_axes(self, path: str, place: ArmPlacement, origin: Array, rotation: Array) -> None:
         axes = rr.LineStrips3D(
             list(place.build_axes(origin, rotation)),
             colors=np.array(colours.AXES, np.uint32),

@@ -13,8 +13,8 @@ import numpy as np
 
 from estimator.array_types import Array
 from teleop.messages.messages import PROFILE_POINTS
-from teleop.view.arm_place import ArmPlace, build_arm_place
 from teleop.view.config import ViewConfig
+from teleop.view.scene_arm_geometry import ArmPlacement, build_arm_placement
 from teleop.view.space_arm import SpaceArm, find_arm
 
 
@@ -160,7 +160,7 @@ class Stage:
     lines: Mapping[int, Array]  # tendon -> points at evenly spread arc lengths
     joints: Mapping[int, Lever]
     hands: Mapping[int, Lever]
-    arms: tuple[ArmPlace, ...]  # in space; their joints have no levers
+    arms: tuple[ArmPlacement, ...]  # in space; their joints have no levers
     legend: Array  # the foot of the colour scale
     legend_up: Array  # from its foot to its top
 
@@ -176,7 +176,7 @@ def build_stage(
     lines: dict[int, Array] = {}
     levers: dict[int, Lever] = {}
     hands: dict[int, Lever] = {}
-    places: dict[int, ArmPlace] = {}  # by the first joint
+    places: dict[int, ArmPlacement] = {}  # by the first joint
     drawn: dict[int, Array] = {}  # of each cell, by its first joint
     cells: dict[int, list[int]] = {}  # first joint -> tendons
     for joint in sorted({shape.joint for shape in shapes.values()}):
@@ -197,7 +197,7 @@ def build_stage(
         arm = find_arm(arms, first)
         parts = [lines[tendon] for tendon in cell]
         if arm is not None:
-            places[first] = build_arm_place(
+            places[first] = build_arm_placement(
                 arm,
                 {tendon: shapes[tendon].joint - first for tendon in cell},
                 {t: (lines[t][-1], straight[t].along, straight[t].aside) for t in cell},

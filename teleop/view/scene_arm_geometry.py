@@ -32,7 +32,7 @@ class ArmLines(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ArmPlace:
+class ArmPlacement:
     """Where an arm and its hand are drawn, and how large.
 
     `ends` [m] are those of the sheath of each tendon, whose joint within the arm is in `tendons`;
@@ -50,7 +50,7 @@ class ArmPlace:
     hand_scale: float
     size: float
 
-    def move(self, offset: Array) -> "ArmPlace":
+    def move(self, offset: Array) -> "ArmPlacement":
         """Return it elsewhere."""
         ends = {tendon: end + offset for tendon, end in self.ends.items()}
         return replace(self, ends=ends, base=self.base + offset, hand=self.hand + offset)
@@ -155,14 +155,14 @@ def _find_sign(frames: Array, axis: int) -> float:
     return 1.0 if (points[-1] - points[before[-1]]) @ frames[0, -1, :3, axis] >= 0.0 else -1.0
 
 
-def build_arm_place(
+def build_arm_placement(
     arm: SpaceArm,
     tendons: Mapping[int, int],
     ends: Mapping[int, tuple[Array, Array, Array]],
     housing: Array,
     size: float,
     hand_radius: float,
-) -> ArmPlace:
+) -> ArmPlacement:
     """Return the place of an arm behind its sheaths, its z axis along them.
 
     `tendons` are its own, each with its joint within the arm; `ends` of each sheath point [m],
@@ -172,7 +172,7 @@ def build_arm_place(
     """
     point, along, aside = (np.mean([end[k] for end in ends.values()], axis=0) for k in range(3))
     rotation = np.stack([aside, np.cross(along, aside), along], axis=1)
-    return ArmPlace(
+    return ArmPlacement(
         arm,
         dict(tendons),
         {tendon: end[0] for tendon, end in ends.items()},
