@@ -69,6 +69,15 @@ def jit_compile(function: Callable[P, R]) -> Callable[P, R]:
     return cast(Callable[P, R], EntryDispatcher(function))
 
 
+def jit_borrow(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile `function` as `jit_compile` does, but let it count no references to arrays.
+
+    It must neither make arrays nor return any. Counting takes atomic instructions, in a step of
+    some dozen small arrays a third of its time.
+    """
+    return cast(Callable[P, R], _BorrowingEntry(function))
+
+
 def jit_inline(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` as a part of the one compiled function that calls it.
 
@@ -187,10 +196,11 @@ class EntryDispatcher(_Dispatcher):
     """A function as Python calls it; `part` is what compiled functions call."""
 
     pipeline = _EntryPipeline
+    part_type = _PartDispatcher
 
     def __init__(self, py_func: Any, *_: Any) -> None:
         super().__init__(py_func)
-        self.part = _PartDispatcher(self.py_func)
+        self.part = self.part_type(self.py_func)
 
     @property
     def _numba_type_(self) -> Any:
@@ -201,6 +211,14 @@ class EntryDispatcher(_Dispatcher):
         for environment in cres._find_referenced_environments():
             cres.codegen.set_env(environment.env_name, environment)
         super().add_overload(cres)
+
+
+class _BorrowingPart(_PartDispatcher):
+    options = _PartDispatcher.options | {"_nrt": False}
+
+
+class _BorrowingEntry(EntryDispatcher):
+    options, part_type = EntryDispatcher.options | {"_nrt": False}, _BorrowingPart
 
 
 def _to_common_type(argument: Any) -> Any:

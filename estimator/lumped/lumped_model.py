@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import jit_compile, jit_inline
+from estimator.compiled import jit_borrow, jit_compile, jit_inline
 from estimator.lumped.nodes import (
     NODES,
     PLACES,
@@ -29,7 +29,7 @@ from estimator.lumped.nodes import (
 )
 from estimator.lumped.play_spectrum import ONE_PLAY, distribute_spectrum
 from estimator.lumped.presliding_solver import solve_presliding
-from estimator.lumped.stick_slip_solver import WORK_ROWS, solve_stick_slip
+from estimator.lumped.stick_slip_solver import KNOWN, WORK_ROWS, solve_stick_slip
 from estimator.small_arrays import copy_values
 
 _SUBSTEP_MIN = 1.0 / 8.0  # of a step
@@ -123,6 +123,9 @@ STATE = _DIRECTION + 3 * (NODES - 1)
 """Length of the flat array that is all a tendon remembers."""
 
 _NO_SPEEDS = np.empty(0)
+
+WORK = WORK_ROWS + 7, NODES
+"""Shape of what `advance` works in."""
 
 # What `advance` is told of a sample
 DT, FRICTION, STRETCH, OFFSET, COMPLIANCE, TARGET, SPEED = range(7)
@@ -224,9 +227,7 @@ class DrivenTendon:
     def _advance(self, memory: Array, drive: Array, begin: int, *, forced: bool) -> Array:
         samples = self._samples[begin : begin + len(drive)].copy()
         samples[:, TARGET] = drive
-        return np.asarray(
-            advance(self._constants, memory, samples, _NO_SPEEDS, forced, _SUBSTEP_MIN)
-        )
+        return _take_samples(self._constants, memory, samples, forced=forced)
 
 
 def _prepare_samples(physics: Physics, time: Array) -> tuple[Array, Array]:
@@ -246,11 +247,15 @@ def _simulate_drive(
     state = build_initial_state(constants, physics.start, samples[0, STRETCH], samples[0, OFFSET])
     if len(physics.earlier_turns):
         _approach_first_sample(constants, state, samples[0], physics.earlier_turns, forced=forced)
-    return Motion(
-        *np.ascontiguousarray(
-            advance(constants, state, samples, _NO_SPEEDS, forced, _SUBSTEP_MIN).T
-        )
-    )
+    out = _take_samples(constants, state, samples, forced=forced)
+    return Motion(*np.ascontiguousarray(out.T))
+
+
+def _take_samples(constants: Array, memory: Array, samples: Array, *, forced: bool) -> Array:
+    """Take samples one after another, in place; return the rows of `Motion`, shape (n, 5)."""
+    out = np.empty((len(samples), len(Motion._fields)))
+    advance(constants, memory, samples, _NO_SPEEDS, forced, _SUBSTEP_MIN, np.empty(WORK), out)
+    return out
 
 
 def _approach_first_sample(
@@ -263,7 +268,7 @@ def _approach_first_sample(
     )
     samples = np.repeat(first[None], len(drive), axis=0)
     samples[:, DT], samples[:, TARGET], samples[:, SPEED] = 1.0, drive, 0.0
-    advance(constants, state, samples, _NO_SPEEDS, forced, _SUBSTEP_MIN)
+    _take_samples(constants, state, samples, forced=forced)
     state[_V] = state[_A] = 0.0
 
 
@@ -298,7 +303,7 @@ def _pack_line(
     return row
 
 
-@jit_compile
+@jit_inline
 def _unpack_line(constants: Array) -> _Line:
     """Return what `build_constants` has packed."""
     c, last = constants, NODES - 1
@@ -362,11 +367,18 @@ def slide_all(constants: Array, memory: Array, tension: float, log_ratio: float)
     memory[_Q] += last_compliance * (memory[NODES - 1] - last_tension)
 
 
-@jit_compile
+@jit_borrow
 def advance(
-    constants: Array, memory: Array, samples: Array, speeds: Array, forced: bool, share_min: float
-) -> Array:
-    """Take samples one after another, in place; return the rows of `Motion`, shape (n, 5).
+    constants: Array,
+    memory: Array,
+    samples: Array,
+    speeds: Array,
+    forced: bool,
+    share_min: float,
+    work: Array,
+    out: Array,
+) -> None:
+    """Take samples one after another, in place; fill in the rows of `Motion`, `out`, (n, 5).
 
     Parameters
     ----------
@@ -382,19 +394,25 @@ def advance(
         Whether it is driven to a tension [N] and [N/s], or to a travel [m] and [m/s].
     share_min : float
         Share of a sample in which what has no balance yet is tried again; 1 for once only.
+    work : ndarray
+        To work in, shape `WORK`.
     """
-    line = _unpack_line(constants)
-    law, tip_load, total_compliance, weights, shares, ratios, tip_shares = line
-    tip_compliance, last_share = _distribute_tip_compliance(line), tip_shares[NODES - 1]
-    out = np.empty((len(samples), 5))
+    law, tip_load, total_compliance, weights, shares, ratios, tip_shares = _unpack_line(constants)
+    last = NODES - 1
+    last_share, buffers = tip_shares[last], work[WORK_ROWS:]
+    tip_compliance, extra, T_new = buffers[0], buffers[1], buffers[2]
+    half_k, drag = buffers[3, :last], buffers[4, :last]
+    slip, total_slip = buffers[5, :last], buffers[6, :last]
+    for j in range(NODES):
+        tip_compliance[j] = 0.0 if j == last else tip_load.compliance * tip_shares[j]
+        work[KNOWN, j] = buffers[6, j] = 0.0
     speeds_known = len(speeds) > 0
     has_memory = law.stribeck != 0.0 and law.stribeck_memory > 0.0
+    has_plain_friction = law.rise == 0.0 and law.exponent == 1.0
+    has_plain_friction &= law.stribeck == 0.0 and law.static == 0.0
     tension, lengths = memory[:NODES], memory[LENGTHS:_CREEP]
     creep, direction = memory[_CREEP:_ENDS], memory[_DIRECTION:_SPEED]
     speed, adhesion = memory[_SPEED:_ADHESION], memory[_ADHESION:]
-    T_new, work = np.empty(NODES), np.empty((WORK_ROWS, NODES))
-    half_k, drag = np.empty(NODES - 1), np.empty(NODES - 1)
-    slip, total_slip = np.zeros(NODES - 1), np.zeros(NODES - 1)
     q, v, a, load, drive_old = memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN]
     for i in range(len(samples)):
         dt, friction, stretch = samples[i, DT], samples[i, FRICTION], samples[i, STRETCH]
@@ -402,14 +420,18 @@ def advance(
         target = samples[i, TARGET]
         rate = samples[i, SPEED]
         gain = -math.expm1(-dt / law.creep_time) if law.creep != 0.0 else 0.0
-        extra = creep * (1.0 - gain) + shares * stretch
+        for j in range(NODES):
+            extra[j] = creep[j] * (1.0 - gain) + shares[j] * stretch
         scale = 1.0 + law.creep * gain
         tendon = Tendon(law, half_k, drag, dt, weights, scale, extra, tip_compliance)
         tip = _build_tip(tip_load, compliance, samples[i, OFFSET], dt, q, v, a, load)
         if law.stribeck != 0.0 and not has_memory:
-            all_slide = ratios * (rate * total_compliance if forced else rate)
-            copy_values(speeds if speeds_known else all_slide, speed)
-        fill_contacts(law, friction, tension, speed, adhesion, half_k, drag)
+            all_slide = rate * total_compliance if forced else rate
+            for j in range(last):
+                speed[j] = speeds[j] if speeds_known else ratios[j] * all_slide
+        steady = has_plain_friction and i > 0 and friction == samples[i - 1, FRICTION]
+        if not steady:
+            fill_contacts(law, friction, tension, speed, adhesion, half_k, drag)
         if law.presliding > 0.0:
             slope_in = solve_presliding(tendon, tip, tension, lengths, target, forced, T_new)
             _store_tensions(tendon, T_new, tension, lengths)
@@ -419,11 +441,13 @@ def advance(
             tip, slope_in = _solve_substeps(
                 tendon, tip, friction, begin, target, forced, 1.0 if has_inertia else share_min,
                 _Contacts(direction, speed, adhesion), tension, lengths, T_new, slip, total_slip,
-                work,
+                work, steady,
             )  # fmt: skip
         if has_memory and dt > 0.0:
-            sliding_speeds = speeds if speeds_known else np.abs(total_slip) / dt
-            speed += -math.expm1(-dt / law.stribeck_memory) * (sliding_speeds - speed)
+            share = -math.expm1(-dt / law.stribeck_memory)
+            for j in range(last):
+                sliding_speed = speeds[j] if speeds_known else abs(total_slip[j]) / dt
+                speed[j] += share * (sliding_speed - speed[j])
         q_new, _slope, load = compute_tip_travel(tip, T_new[NODES - 1])
         if dt > 0.0:
             v_new = 2.0 * (q_new - q) / dt - v
@@ -431,22 +455,18 @@ def advance(
             v = v_new
         q, drive_old = q_new, target
         if gain > 0.0:
-            creep *= 1.0 - gain
-            creep += law.creep * gain / scale * (lengths - extra - tip_compliance * tension)
-        out[i, 0], out[i, 1] = T_new[0], _compute_dot_product(tip_shares, T_new)
-        out[i, 2] = lengths.sum() + q
-        out[i, 3] = q + _compute_dot_product(tip_compliance, T_new)
-        out[i, 4] = slope_in
+            late_share = law.creep * gain / scale
+            for j in range(NODES):
+                elongation = lengths[j] - extra[j] - tip_compliance[j] * tension[j]
+                creep[j] = creep[j] * (1.0 - gain) + late_share * elongation
+        length, tip_tension, tip_travel = 0.0, 0.0, 0.0
+        for j in range(NODES):
+            length += lengths[j]
+            tip_tension += tip_shares[j] * T_new[j]
+            tip_travel += tip_compliance[j] * T_new[j]
+        out[i, 0], out[i, 1] = T_new[0], tip_tension
+        out[i, 2], out[i, 3], out[i, 4] = length + q, q + tip_travel, slope_in
     memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN] = q, v, a, load, drive_old
-    return out
-
-
-@jit_inline
-def _compute_dot_product(a: Array, b: Array) -> float:
-    total = 0.0
-    for j in range(len(a)):
-        total += a[j] * b[j]
-    return total
 
 
 @jit_inline
@@ -491,6 +511,7 @@ def _solve_substeps(
     slip: Array,
     total_slip: Array,
     work: Array,
+    steady: bool,
 ) -> tuple[Tip, float]:
     """Drive from `begin` to `target` with contacts that stick or slide, in as many parts as needed.
 
@@ -500,28 +521,29 @@ def _solve_substeps(
     direction, speed, adhesion = contacts
     share_max = _SUBSTEP_MAX if law.static != 0.0 else 1.0
     progress, share, slope_in = 0.0, share_max, 0.0
-    total_slip[:] = 0.0
+    for j in range(len(slip)):
+        total_slip[j] = 0.0
     while progress < 1.0:
         goal = begin + (progress + share) * (target - begin)
         substep = Tendon(
             law, half_k, drag, share * tendon.dt, tendon.weights, tendon.scale, tendon.extra,
             tendon.tip_compliance,
         )  # fmt: skip
-        converged, slope_in = solve_stick_slip(
-            substep, tip, tension, lengths, goal, forced, T_new, direction, slip, work
-        )
-        if not converged:  # in circles: from rest, and if need be by a smaller step
-            direction[:] = 0.0
+        for attempt in range(2):
             converged, slope_in = solve_stick_slip(
-                substep, tip, tension, lengths, goal, forced, T_new, direction, slip, work
+                substep, tip, tension, lengths, goal, forced, T_new, direction, slip, work, steady
             )
+            if converged or (attempt == 1 and share <= share_min):
+                break
+            for j in range(len(direction)):  # in circles: from rest, if need be by a smaller step
+                direction[j] = 0.0
         if not converged and share > share_min:
-            direction[:] = 0.0
             share *= 0.5
             continue
         progress += share
         share = min(2.0 * share, share_max, 1.0 - progress)
-        total_slip += slip
+        for j in range(len(slip)):
+            total_slip[j] += slip[j]
         _store_tensions(tendon, T_new, tension, lengths)
         if law.static != 0.0:
             age_contacts(law, substep.dt, slip, adhesion)
@@ -545,5 +567,12 @@ def _solve_substeps(
 def _store_tensions(tendon: Tendon, T_new: Array, tension: Array, lengths: Array) -> None:
     """Take over the tensions that were found, and the lengths of the nodes that follow."""
     copy_values(T_new, tension)
+    if tendon.law.toe != 0.0 or tendon.law.compression != 0.0:
+        for j in range(NODES):
+            lengths[j] = compute_elongation(tendon, j, T_new[j])[0] + tendon.extra[j]
+        return
     for j in range(NODES):
-        lengths[j] = compute_elongation(tendon, j, T_new[j])[0] + tendon.extra[j]
+        elongation = (
+            tendon.scale * (tendon.weights[j] * T_new[j]) + tendon.tip_compliance[j] * T_new[j]
+        )
+        lengths[j] = elongation + tendon.extra[j]

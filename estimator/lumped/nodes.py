@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import jit_compile
+from estimator.compiled import jit_borrow
 
 NODES = 41
 """Nodes from housing to tip."""
@@ -85,7 +85,7 @@ def build_even_weights() -> Array:
     return np.diff(EDGES)
 
 
-@jit_compile
+@jit_borrow
 def compute_tip_travel(tip: Tip, tension: float) -> tuple[float, float, float]:
     """Return q_d [m], dq_d/dT_out [m/N] and the load besides the spring [N] at a tip tension."""
     c = tip.compliance
@@ -104,7 +104,7 @@ def compute_tip_travel(tip: Tip, tension: float) -> tuple[float, float, float]:
     return q, slope, load
 
 
-@jit_compile
+@jit_borrow
 def fill_contacts(
     law: FrictionLaw,
     K: float,
@@ -138,7 +138,7 @@ def fill_contacts(
         drag[j] = 2.0 * half_k[j] * law.drag
 
 
-@jit_compile
+@jit_borrow
 def age_contacts(law: FrictionLaw, dt: float, slip: Array, adhesion: Array) -> None:
     """Let contacts take hold while they rest and let go while they slide, in place."""
     decay = math.exp(-dt / law.static_time)
@@ -147,7 +147,7 @@ def age_contacts(law: FrictionLaw, dt: float, slip: Array, adhesion: Array) -> N
         adhesion[j] *= math.exp(-abs(slip[j]) / law.static_distance)
 
 
-@jit_compile
+@jit_borrow
 def compute_elongation(tendon: Tendon, j: int, tension: float) -> tuple[float, float]:
     """Return the elongation [m] of a node's share of the tendon, and its slope [m/N].
 

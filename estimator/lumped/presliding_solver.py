@@ -1,14 +1,14 @@
 """The balance of contacts that give before they slide: from the tip to the housing."""
 
 from estimator.array_types import Array
-from estimator.compiled import jit_compile
+from estimator.compiled import jit_borrow
 from estimator.lumped.nodes import Tendon, Tip, compute_elongation, compute_tip_travel
 
 _MAX_ITERATIONS = 60
 _TRAVEL_TOLERANCE = 1e-11  # [m] of travel
 
 
-@jit_compile
+@jit_borrow
 def _propagate_from_tip(
     tendon: Tendon, tip: Tip, T_old: Array, lengths: Array, T_out: float, T_new: Array
 ) -> tuple[float, float, float]:
@@ -53,7 +53,7 @@ def _propagate_from_tip(
     return q_p + elongation + tendon.extra[0], dq_p + elongation_slope * D, D
 
 
-@jit_compile
+@jit_borrow
 def solve_presliding(
     tendon: Tendon,
     tip: Tip,

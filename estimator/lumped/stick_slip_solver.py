@@ -3,12 +3,15 @@
 from typing import NamedTuple
 
 from estimator.array_types import Array
-from estimator.compiled import jit_compile, jit_inline
+from estimator.compiled import jit_borrow, jit_inline
 from estimator.lumped.nodes import Tendon, Tip, compute_elongation, compute_tip_travel
 from estimator.small_arrays import copy_values
 
-WORK_ROWS = 6
-"""Rows of a node each that `solve_stick_slip` works with."""
+WORK_ROWS = 9
+"""Rows of a node each that `solve_stick_slip` works with; `KNOWN` has zeros to begin with."""
+
+_UPPER, _CONSTANT, _PIVOT, _FACTOR, _SOLVED, KNOWN, _SLOPE, _STIFFNESS, _REST = range(WORK_ROWS)
+_IS_KNOWN, _SCALE, _DASHPOT, _IS_FREE = range(4)  # of row `KNOWN`
 
 
 class _Springs(NamedTuple):
@@ -30,7 +33,7 @@ class _Drive(NamedTuple):
     tension: float  # [N], if it is free
 
 
-@jit_compile
+@jit_borrow
 def solve_stick_slip(
     tendon: Tendon,
     tip: Tip,
@@ -42,29 +45,36 @@ def solve_stick_slip(
     direction: Array,
     slip: Array,
     work: Array,
+    steady: bool,
 ) -> tuple[bool, float]:
     """Find the balance of contacts that stick or slide, by how far each of them slides.
 
     Each contact is guessed to stick or to slide one way (`direction`, kept from the sample before),
     the balance of all is solved, and guesses that Coulomb contradicts are put right until none is
-    left. The housing's end is at `target`, a tension [N] if `forced`, else a travel [m].
+    left. The housing's end is at `target`, a tension [N] if `forced`, else a travel [m]. What is
+    eliminated of the balance stays in `work` for the next step if that has the same friction
+    (`steady`): as far as its contacts do the same.
 
     Returns whether that came to an end, and dq_p/dT_in [m/N]; fills `slip` [m].
     """
     last = len(T_old) - 1
-    springs = _Springs(work[3], work[4], work[5])
+    springs, known = _Springs(work[_SLOPE], work[_STIFFNESS], work[_REST]), work[KNOWN]
     is_nonlinear = tendon.law.toe != 0.0 or tendon.law.compression != 0.0
+    if not steady or is_nonlinear or known[_SCALE] != tendon.scale:
+        known[_IS_KNOWN] = 0.0
     q_old = tip.q_old
     for j in range(last + 1):
         q_old += lengths[j]
     copy_values(T_old, T_new)
-    _fill_linear_springs(tendon, lengths, springs)
+    _fill_linear_springs(tendon, lengths, known[_IS_KNOWN] > 0.0, springs)
+    known[_SCALE] = tendon.scale
     drive = _Drive(target - q_old, forced, target if forced else 0.0)
     converged = False
     free_slope, free_rest = (springs.slope[last], springs.T_rest[last])  # without what it pulls at
     for _ in range(6 * last):
         if is_nonlinear:
             _linearise_springs(tendon, lengths, T_new, springs)
+            known[_IS_KNOWN] = 0.0
             free_slope, free_rest = springs.slope[last], springs.T_rest[last]
         _add_tip(tip, T_new[last], free_slope, free_rest, springs)
         _solve_slips(tendon, springs, drive, direction, work, slip)
@@ -82,11 +92,18 @@ def solve_stick_slip(
 
 
 @jit_inline
-def _fill_linear_springs(tendon: Tendon, lengths: Array, springs: _Springs) -> None:
-    """Fill in the springs of a tendon whose elasticity is linear."""
-    for j in range(len(lengths)):
+def _fill_linear_springs(
+    tendon: Tendon, lengths: Array, are_known: bool, springs: _Springs
+) -> None:
+    """Fill in the springs of a tendon whose elasticity is linear; of known ones, where they rest.
+
+    The last one is never known: what the tip pulls at was added to it.
+    """
+    last = len(lengths) - 1
+    for j in range(last if are_known else 0, last + 1):
         springs.slope[j] = tendon.scale * tendon.weights[j] + tendon.tip_compliance[j]
         springs.stiffness[j] = 1.0 / springs.slope[j]
+    for j in range(last + 1):
         springs.T_rest[j] = (lengths[j] - tendon.extra[j]) * springs.stiffness[j]
 
 
@@ -121,37 +138,52 @@ def _solve_slips(
     """Solve for how far the contacts slide that are guessed to.
 
     A T_before - B T_after - g slid = c of each, tridiagonal in what slid: elimination from the
-    housing to the tip, then substitution back.
+    housing to the tip, then substitution back. Rows as far as those known are kept.
     """
     last = len(slip)
-    upper, constant, pivot = work[0], work[1], work[2]
+    upper, constant, pivot, factor = work[_UPPER], work[_CONSTANT], work[_PIVOT], work[_FACTOR]
+    solved, known = work[_SOLVED], work[KNOWN]
     stiffness, zero = springs.stiffness, springs.T_rest
     law, half_k, drag = tendon.law, tendon.half_k, tendon.drag
     rho, dashpot = law.asymmetry, 2.0 * law.viscosity / tendon.dt if tendon.dt > 0.0 else 0.0
+    is_free = 1.0 if drive.free else 0.0
+    kept = 0
+    if known[_IS_KNOWN] > 0.0 and known[_DASHPOT] == dashpot and known[_IS_FREE] == is_free:
+        # the last contact's row has what the tip pulls at
+        while kept < last - 1 and solved[kept] == direction[kept]:
+            kept += 1
+    known[_IS_KNOWN], known[_DASHPOT], known[_IS_FREE] = 1.0, dashpot, is_free
     for j in range(last):
         if direction[j] == 0.0:
-            upper[j], constant[j], pivot[j] = 0.0, 0.0, 1.0
+            if j >= kept:
+                upper[j], constant[j], pivot[j], factor[j], solved[j] = 0.0, 0.0, 1.0, 0.0, 0.0
             continue
+        solved[j] = direction[j]
         x = half_k[j]
         A, B, c, g = 1.0 - x, 1.0 + x, drag[j], x * dashpot
         if direction[j] < 0.0:
             A, B, c, g = 1.0 + rho * x, 1.0 - rho * x, -rho * c, rho * g
-        lower, upper[j] = A * stiffness[j], B * stiffness[j + 1]
-        diagonal = -lower - upper[j] - g
         constant[j] = c - A * zero[j] + B * zero[j + 1]
+        lower = A * stiffness[j]
+        if j >= kept:
+            upper[j] = B * stiffness[j + 1]
+            diagonal = -lower - upper[j] - g
+            if j > 0:
+                factor[j] = lower * pivot[j - 1]
+                diagonal -= factor[j] * upper[j - 1]
+            elif drive.free:
+                diagonal += lower
+            pivot[j] = 1.0 / diagonal
         if j > 0:
-            factor = lower * pivot[j - 1]
-            diagonal -= factor * upper[j - 1]
-            constant[j] -= factor * constant[j - 1]
+            constant[j] -= factor[j] * constant[j - 1]
         elif drive.free:
-            diagonal += lower
             constant[0] += A * (zero[0] - drive.tension)
         else:
             constant[0] -= lower * drive.displacement
-        pivot[j] = 1.0 / diagonal
     next_slip = 0.0
     for j in range(last - 1, -1, -1):
-        next_slip = (constant[j] - upper[j] * next_slip) * pivot[j]
+        slides = direction[j] != 0.0
+        next_slip = (constant[j] - upper[j] * next_slip) * pivot[j] if slides else 0.0
         slip[j] = next_slip
 
 
@@ -175,9 +207,9 @@ def _correct_guesses(tendon: Tendon, tension: Array, slip: Array, direction: Arr
     """Put right the guesses that Coulomb contradicts; return whether there were any."""
     rho, corrected = tendon.law.asymmetry, False
     for j in range(len(slip)):
-        total = max(tension[j] + tension[j + 1], 0.0)
-        drop = tension[j] - tension[j + 1]
         if direction[j] == 0.0:
+            total = max(tension[j] + tension[j + 1], 0.0)
+            drop = tension[j] - tension[j + 1]
             room = 1e-10 * (1.0 + total)
             friction = tendon.half_k[j] * total + tendon.drag[j]
             if drop > friction + room:
@@ -195,9 +227,8 @@ def _compute_compliance(tendon: Tendon, slope: Array, direction: Array) -> float
     compliance, D, rho = 0.0, 1.0, tendon.law.asymmetry
     for j in range(len(slope)):
         compliance += D * slope[j]
-        if j < len(direction) and direction[j] != 0.0:
-            x = tendon.half_k[j] if direction[j] > 0.0 else -rho * tendon.half_k[j]
-            D *= (1.0 - x) / (1.0 + x)
-        else:
-            D = 0.0
+        if j == len(direction) or direction[j] == 0.0:
+            break
+        x = tendon.half_k[j] if direction[j] > 0.0 else -rho * tendon.half_k[j]
+        D *= (1.0 - x) / (1.0 + x)
     return compliance

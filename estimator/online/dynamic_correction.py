@@ -155,9 +155,12 @@ def update_correction(
     sample[0, lumped_model.TARGET] = T
     sample[0, lumped_model.SPEED] = abs(T - plain_state[0]) / dt if dt > 0.0 else 0.0
     no_speeds, forced = np.empty(0), bool(1)  # a literal compiles `advance` once more
-    plain_motion = lumped_model.advance(
-        constants.without_effects[:], plain_state, sample, no_speeds, forced, NO_SUBSTEPS
-    )[0]
+    work, motions = np.empty(lumped_model.WORK), np.empty((2, 5))
+    plain_motion, effect_motion = motions[0], motions[1]
+    lumped_model.advance(
+        constants.without_effects[:], plain_state, sample, no_speeds, forced, NO_SUBSTEPS, work,
+        motions[:1],
+    )  # fmt: skip
     speeds = no_speeds
     if has_travel and effect_constants[lumped_model.STRIBECK] != 0.0:
         speeds = _estimate_sliding_speeds(state, plain_state, q, dt)
@@ -169,9 +172,10 @@ def update_correction(
             sample[0, lumped_model.FRICTION] *= max(1.0 + f, FRICTION_SHARE_MIN)
     sample[0, lumped_model.OFFSET] = state.tip_offset
     sample[0, lumped_model.COMPLIANCE] = state.tip_compliance
-    effect_motion = lumped_model.advance(
-        effect_constants, state.with_effects[:], sample, speeds, forced, NO_SUBSTEPS
-    )[0]
+    lumped_model.advance(
+        effect_constants, state.with_effects[:], sample, speeds, forced, NO_SUBSTEPS, work,
+        motions[1:],
+    )  # fmt: skip
     T_out, q_d = effect_motion[1], effect_motion[3]
     elongation = effect_motion[2] - q_d
     tension_change = T_out - plain_motion[1]
