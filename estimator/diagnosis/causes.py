@@ -1,5 +1,6 @@
 """Stepwise search for causes, restarted from another first cause and on another base law."""
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -316,12 +317,17 @@ def _find_causes_stepwise(
     return _prune_result(result)
 
 
-def _fit_next_candidates(result: CauseSearchResult, search: CauseSearch) -> list[Candidate]:
+def _fit_next_candidates(
+    result: CauseSearchResult, search: CauseSearch, tolerance_ratio_max: float = math.inf
+) -> list[Candidate]:
     """Return the models with one cause more, fitted, the lowest cost first."""
     dataset, fit = result.dataset, result.fit
     applicable = select_applicable_effects(search.effects, dataset.records[0], dataset.base)
     untried = [effect for effect in applicable if effect.name not in fit.names]
-    return fit_candidates(dataset, fit, untried, search.report, search.workers)
+    return fit_candidates(
+        dataset, fit, untried, search.report, search.workers,
+        tolerance_ratio_max=tolerance_ratio_max,
+    )  # fmt: skip
 
 
 def _prune_result(result: CauseSearchResult) -> CauseSearchResult:
@@ -350,7 +356,9 @@ def _find_cause_pair(
         return []
     ranking = rank_candidates(dataset, base_fit, result.fit, candidates)
     lead_step = CauseStep(lead.effect, (), ranking, lead.fit)
-    second_candidates = _fit_next_candidates(result.add_step(lead_step), search)
+    second_candidates = _fit_next_candidates(
+        result.add_step(lead_step), search, SETTINGS.tolerance_ratio_max
+    )
     second_step = find_next_cause(dataset, base_fit, lead.fit, second_candidates)
     if second_step is None or not is_within_tolerance(
         dataset, compute_errors(dataset, second_step.fit), SETTINGS.tolerance_ratio_max
@@ -438,8 +446,8 @@ def _find_function(result: CauseSearchResult, search: CauseSearch) -> CauseSearc
     for start in (base, *([result] if result.steps else [])) if functions else ():
         begin = _hold_out_aperiodically(start)
         for group, what in ((others, "free functions"), (cycles, "cycles")):
-            # beside a named cause, or a function, it could only follow noise
-            if best is not None and _is_explained(best):
+            # beside a named cause, or a function, it could only follow what the model itself is off
+            if best is not None and _is_within_model_error(best):
                 return best
             place = f" beside {start.steps[0].effect.name}" if start.steps else ""
             if not group or not search.budget.has_time(f"{what}{place}"):

@@ -187,23 +187,22 @@ class _Search:
         self.layout = ParameterLayout(dataset, model)
         self._dataset, self._full, self._contexts = dataset, use_all_samples(dataset), contexts
         samples_max = max(len(record.time) for record in dataset.records)
-        has_times = any(p.jumps for p in self.layout.parameters)  # to a sample
-        self._is_long = samples_max >= COARSE_RATIO_MIN * COARSE_SIZE and not has_times
+        self._is_long = samples_max >= COARSE_RATIO_MIN * COARSE_SIZE
 
     def simulate(self, x: Array, coarse: Sequence[CoarseSteps | None] = ()) -> Fit:
         """Return the model of a row, and what it makes of the records."""
         return simulate_dataset(self._dataset, self._contexts, self.layout.unpack(x), coarse)
 
-    def build_coarse_steps(self, fit: Fit) -> tuple[CoarseSteps | None, ...]:
-        """Return coarse steps about a fit; none of records that have few samples."""
-        if not self._is_long:
+    def build_coarse_steps(self, fit: Fit, is_free: Mask) -> tuple[CoarseSteps | None, ...]:
+        """Return coarse steps about a fit, none of few samples, or for times: to a sample."""
+        if not self._is_long or (is_free & self.layout.is_time).any():
             return ()
         return build_coarse_steps(self._dataset, self._contexts, fit, COARSE_SIZE)
 
     def compute_jacobian(self, fit: Fit) -> Array:
         """Return the derivatives of the residual at a fit by all parameters, by coarse steps."""
         x, (_, high) = self.layout.pack(fit.model), self.layout.bounds()
-        coarse = self.build_coarse_steps(fit)
+        coarse = self.build_coarse_steps(fit, ~self.layout.is_fixed)
 
         def evaluate(x: Array) -> Array:
             return compute_residual(self._dataset, self.simulate(x, coarse))
@@ -225,11 +224,11 @@ class _Search:
         x_start = move_inside_bounds(self.layout.pack(start), low, high, BOUND_MARGIN)
         dataset = self._full if full else self._dataset
         fit = self.simulate(x_start)
-        if not self._is_long:
-            return self._descend_once(dataset, fit, x_start, rounds, is_free, robust)[0]
         best, jacobian = fit, None
         for k in range(COARSE_PASSES):
-            coarse = self.build_coarse_steps(best)
+            coarse = self.build_coarse_steps(best, is_free)
+            if not coarse:
+                return self._descend_once(dataset, fit, x_start, rounds, is_free, robust)[0]
             fit, solution = self._descend_once(
                 dataset, best, x_start, rounds, is_free, robust, coarse, jacobian
             )
@@ -294,7 +293,7 @@ class _Search:
         """Return a model with its shapes at better multiples of their values; None if none is."""
         best, cost_min = fit, compute_cost(self._dataset, fit)
         low, high = self.layout.bounds()
-        coarse = self.build_coarse_steps(fit)
+        coarse = self.build_coarse_steps(fit, self.layout.is_shape)
         for i in np.flatnonzero(self.layout.is_shape):
             x = self.layout.pack(best.model)
             for multiple in SHAPE_MULTIPLES:

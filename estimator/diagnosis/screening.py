@@ -5,6 +5,7 @@ every effect. So each candidate is first tried by a linear step of all parameter
 each of its starts; the starts of lowest cost are then fitted by re-simulation.
 """
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, TypeVar
@@ -38,6 +39,7 @@ from estimator.diagnosis.scoring import (
     compute_log_likelihood_ratio,
     is_foreign_data,
     is_noise,
+    is_within_tolerance,
 )
 from estimator.diagnosis.settings import SETTINGS, ProgressCallback, scale_progress
 from estimator.effects.effect import Effect, EffectContext, Parameter, Values
@@ -50,6 +52,9 @@ SCREENING_PROGRESS, FITTING_PROGRESS = 0.3, (0.6, 0.75)
 HALVINGS = 3  # of a linear step that leads uphill
 ROUNDS = (4, 6)  # of the first fits, on subsampled records
 FINAL_ROUNDS = 25  # rounds of the last fit, on whole records
+# after these: of the cost without the effect, above which it is not finished, and
+FINISH_SHARE = 0.95
+QUICK_RATIO = 3.0  # times the error of a finished fit that a quick one may leave
 RESTART_COST_RATIO_MAX = 1.1  # of a quick fit on all samples to the best: it is followed
 AMPLITUDE_RATIO_MAX = 6.0  # times a start's amplitude that a linear step may go
 
@@ -96,8 +101,12 @@ def fit_candidates(
     effects: Sequence[Effect],
     report: ProgressCallback,
     workers: int = 1,
+    *,
+    tolerance_ratio_max: float = math.inf,
 ) -> list[Candidate]:
     """Return the fitted candidates, the lowest cost first.
+
+    Of those that explain too little after quick fits on few samples, that is all.
 
     Parameters
     ----------
@@ -109,6 +118,8 @@ def fit_candidates(
         Called with the current task and the share that is done.
     workers : int
         Threads that fit in parallel.
+    tolerance_ratio_max : float
+        Rms residual over tolerance up to which an effect is wanted.
     """
     dataset = rescale_residuals(dataset, current_fit)
     contexts = build_contexts(dataset, current_fit)
@@ -167,9 +178,17 @@ def fit_candidates(
             for candidate in best
             if candidate.cost < cost_ratio_max * best[0].cost
         ]
+    cost_max = FINISH_SHARE * compute_cost(subsampled, subsampled_fit)
+    finished = [
+        candidate
+        for candidate in best
+        if candidate.cost < min(cost_max, cost_ratio_max * best[0].cost)
+        and is_within_tolerance(subsampled, candidate.held_out, QUICK_RATIO * tolerance_ratio_max)
+    ]
     # by the last of these fits: the first ones still fall
     if is_foreign_data(subsampled, (law_errors, *(candidate.held_out for candidate in best))):
-        models = []
+        finished = []
+    models = [candidate.fit.model for candidate in finished]
 
     def fit_cheapest(starts: Iterable[Model]) -> Candidate:
         return min(
@@ -201,7 +220,8 @@ def fit_candidates(
     )
     unrefined = [
         build_candidate(dataset, simulate_dataset(dataset, contexts, candidate.fit.model))
-        for candidate in best[len(models) :]
+        for candidate in best
+        if not any(candidate is other for other in finished)
     ]
     return sorted(refined + unrefined, key=lambda candidate: candidate.cost)
 
