@@ -35,8 +35,6 @@ class TipWrench(NamedTuple):
     directions: Array
     """Unit vectors, shape (m, 6): m is 3 without a moment, else 6. Moments are divided by
     `length_scale`, so that all are in newtons."""
-    singular_values: Array
-    """[m] lever of each direction, shape (m,)."""
     is_identified: Mask
     """Which directions are identified, shape (m,). The others must not be rendered."""
     inverse: Array
@@ -109,7 +107,7 @@ def compute_tip_wrench(
     directions = np.zeros((*J.shape[:-2], m, 6))
     directions[..., :m] = np.swapaxes(left, -1, -2)
     wrench = np.einsum("...ij,...j->...i", inverse, tau)
-    return TipWrench(wrench, bounds[0], bounds[1], directions, singular, is_identified, inverse)
+    return TipWrench(wrench, bounds[0], bounds[1], directions, is_identified, inverse)
 
 
 def bound_product(factors: Array, low: Array, high: Array) -> tuple[Array, Array]:
