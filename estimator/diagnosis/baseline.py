@@ -219,6 +219,8 @@ LOOP_EFFECTS = frozenset(
 )
 """Effects, by name or label, that `lumped.loop_model` simulates or that are of a sensor."""
 
+JOINT_EFFECTS = frozenset({"link_gravity"})  # that are defined by the angle of a loop only
+
 
 def choose_law(dataset: Dataset, base_fit: Fit, workers: int = 1) -> Choice:
     """Return the base law that held-out samples favour; `base_fit` is the fitted capstan law.
@@ -280,8 +282,14 @@ def select_applicable_effects(
         if effect.function is None
         and effect.required_channels <= set(record.signals)
         and effect.name not in excluded
-        and (not record.loop or effect.name in LOOP_EFFECTS or effect.label in LOOP_EFFECTS)
+        and _is_defined_for(effect, record)
     ]
+
+
+def _is_defined_for(effect: Effect, record: Record) -> bool:
+    if effect.name in JOINT_EFFECTS:
+        return record.loop and record.units.rotary
+    return not record.loop or effect.name in LOOP_EFFECTS or effect.label in LOOP_EFFECTS
 
 
 def _score_choices(

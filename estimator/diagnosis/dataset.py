@@ -367,6 +367,7 @@ def build_context(
         np.zeros_like(record.time) if simulated is None else simulated.motion.compliance,
         compliance,
         1.0 / record.scale.force,
+        1.0 / record.scale.travel,
         record.present,
         record.variables,
         record.file,

@@ -61,6 +61,7 @@ class EffectContext(NamedTuple):
     compliance: Array  # dq_p/dT_in [m/N] of that model
     elongation_per_newton: float  # L/EA [m/N] of that model
     newton: float = 1.0  # of the records, in the unit of force here (diagnosis.record)
+    radian: float = 1.0  # of records of torque and angle, in the unit of travel here
     present: Mapping[str, Mask] = MappingProxyType({})  # the others are interpolated
     variables: Mapping[str, Array] = MappingProxyType({})  # further columns, shape (n,) each
     file: int = 0  # number of the record among those fitted, from 1; 0 = none of them

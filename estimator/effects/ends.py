@@ -1,10 +1,12 @@
 """Effects at the ends of a tendon: its start, the joint, and what moves the tip."""
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
 
+from estimator.array_types import Array
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
     PROXIMAL_DISPLACEMENT,
@@ -17,6 +19,7 @@ from estimator.effects.effect import (
     set_physics,
     transform_channel,
 )
+from estimator.effects.sensors import rotate_wave
 from estimator.lumped.lumped_model import Physics
 from estimator.noise_treatment import apply_play
 
@@ -130,6 +133,51 @@ TIP_INERTIA = Effect(
 )
 
 
+def _build_gravity_waves(context: EffectContext) -> Array:
+    """Return the sine and cosine of a joint's angle, shape (n, 2)."""
+    angle = context.drive / context.radian
+    return np.column_stack([np.sin(angle), np.cos(angle)])
+
+
+def _find_gravity_starts(context: EffectContext) -> Iterable[Values]:
+    rows = context.select_measured(PROXIMAL_TENSION)
+    simulated = context.simulated[PROXIMAL_TENSION]
+    columns = [np.ones(len(rows)), context.drive, simulated, _build_gravity_waves(context)]
+    known = np.column_stack(columns)[rows]
+    residual = (context.measured[PROXIMAL_TENSION] - simulated)[rows]
+    sine, cosine = np.linalg.lstsq(known, residual, rcond=None)[0][-2:].tolist()
+    return [(sine, cosine)]
+
+
+def _apply_gravity(physics: Physics, values: Values, context: EffectContext) -> Physics:
+    """Return a tendon with a weight at its tip, less the line that it has where it hangs still.
+
+    The load's spring has that slope, and where the record starts takes up a constant: so the fit
+    begins where the base law's spring already stands for the weight, and is not negative above.
+    """
+    angle = (context.drive - np.mean(context.drive)) / context.radian
+    torque = _build_gravity_waves(context) @ np.array(values) - math.hypot(*values) * angle
+    return physics._replace(tip_offset=physics.tip_offset - physics.tip_compliance * torque)
+
+
+LINK_GRAVITY = Effect(
+    name="link_gravity",
+    cause="the joint carries the weight of its link",
+    equation="T_out = k q_d + sine sin(q_p) + cosine cos(q_p) - weight q_p, weight^2 = sine^2 + "
+    "cosine^2: k is the spring of all where the link hangs still",
+    parameters=(
+        Parameter("sine", "N", -200.0, 200.0, 0.05),
+        Parameter("cosine", "N", -200.0, 200.0, 0.05),
+    ),
+    source="Newton; the elongation is small beside a turn",
+    advice="No fault. To see the transmission alone, balance the link or turn its axis upright.",
+    starts=_find_gravity_starts,
+    physics=_apply_gravity,
+    required_channels=TRAVEL,
+    shift_encoder_zero=lambda values, zero: rotate_wave((*values, 1.0), zero)[:2],
+)
+
+
 def _apply_tip_motion(physics: Physics, values: Values, context: EffectContext) -> Physics:
     size, onset, duration = values
     offset = size * compute_step(context.time, onset + 0.5 * duration, max(duration, 0.02))
@@ -199,6 +247,7 @@ EFFECTS = (
     JOINT_FRICTION,
     ANTAGONIST_TENSION,
     TIP_INERTIA,
+    LINK_GRAVITY,
     TIP_MOVED,
     TIP_MOVED_BACK,
 )

@@ -335,7 +335,7 @@ def _build_regressors(context: EffectContext) -> tuple[Array, Array, Array]:
     return context.drive[rows], residual[rows], regressors[rows]
 
 
-def _rotate_wave(values: Values, zero: float) -> Values:
+def rotate_wave(values: Values, zero: float) -> Values:
     """Return a wave's values for an encoder that reads `zero` more: sine, cosine and radius."""
     sine, cosine, radius = values
     phase = zero / radius
@@ -389,7 +389,7 @@ PULLEY_ECCENTRICITY = Effect(
     required_channels=frozenset({PROXIMAL_DISPLACEMENT}),
     limit_parameters=_limit_radius,
     correction=CorrectionKind.PULLEY_ECCENTRICITY,
-    shift_encoder_zero=_rotate_wave,
+    shift_encoder_zero=rotate_wave,
 )
 
 
@@ -433,7 +433,7 @@ COGGING_RIPPLE = Effect(
     limit_parameters=_limit_wave_number,
     correction=CorrectionKind.TENSION_RIPPLE,
     shift_encoder_zero=lambda values, zero: (
-        *_rotate_wave((*values[:2], 1.0 / values[2]), zero)[:2],
+        *rotate_wave((*values[:2], 1.0 / values[2]), zero)[:2],
         values[2],
     ),
 )

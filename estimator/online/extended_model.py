@@ -76,6 +76,7 @@ OMISSION_REASONS = {
     "joint_friction": _REASON_TIP,
     "antagonist_tension": _REASON_TIP,
     "tip_inertia": _REASON_TIP,
+    "link_gravity": _REASON_TIP,
     "sensor_lag": _REASON_LATE,
     "saturation": "hides what it hides",
     "stick_slip": "does not show in the tension at the housing before it is over",

@@ -1,4 +1,4 @@
-"""Count how records that are of no tendon in a sheath end: none may have a confident cause.
+"""Count how records that are of no tendon in a sheath end: none may have a wrong cause.
 
     python -m studies.hidden_effects.controls --seeds 1 2
     python -m studies.hidden_effects.controls --seeds 1 2 --tendons
@@ -180,6 +180,9 @@ def _swing_link(motion, rng):
     return rng.uniform(1.0, 3.0) * (np.sin(q) + a / 40.0) + friction, q
 
 
+TRUE_CAUSES = {"link with gravity and dry friction": "link_gravity"}
+"""Of joints that a closed loop may be, what is named, with two rivals at most."""
+
 JOINTS = {
     "link behind a gear with play": _turn_link_with_play,
     "spring with damper, by angle": _turn_damped_spring,
@@ -223,13 +226,16 @@ def make_control(name, seed, *, tip):
 class Result(NamedTuple):
     """What is said of a mechanism."""
 
+    name: str
     verdict: str
     said: str
+    named: tuple[str, ...] = ()  # the first cause, and its rivals
 
     @property
     def right(self):
-        """Whether no cause is named, and no sheath either."""
-        return self.verdict in (REFUSED, Verdict.UNEXPLAINED, Verdict.CHARACTERISED)
+        """Whether no cause is named, and no sheath either; or the true one among three."""
+        is_open = self.verdict in (REFUSED, Verdict.UNEXPLAINED, Verdict.CHARACTERISED)
+        return is_open or (len(self.named) < 4 and TRUE_CAUSES.get(self.name) in self.named)
 
 
 def judge(name, seed, *, tip):
@@ -237,8 +243,9 @@ def judge(name, seed, *, tip):
     try:
         found = diagnose(make_control(name, seed, tip=tip))
     except RecordError as error:
-        return Result(REFUSED, str(error))
-    return Result(found.verdict, report_text.format_verdict(found))
+        return Result(name, REFUSED, str(error))
+    named = (*found.causes, *found.ambiguous_with)
+    return Result(name, found.verdict, report_text.format_verdict(found), named)
 
 
 def judge_tendon(made, channels):
@@ -288,7 +295,7 @@ def main():
                     f"{result.said}",
                     flush=True,
                 )
-    print(f"{counts[True]} of {sum(counts.values())} name no cause and no sheath")
+    print(f"{counts[True]} of {sum(counts.values())} name no cause and no sheath, or the true one")
 
 
 if __name__ == "__main__":

@@ -12,9 +12,15 @@ from estimator.diagnosis.api import diagnose
 from estimator.diagnosis.dataset import BaseLaw
 from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import RecordError
+from estimator.effects.effect import PROXIMAL_DISPLACEMENT, EffectContext
+from estimator.effects.ends import LINK_GRAVITY
+from estimator.lumped.loop_model import simulate_loop
+from estimator.lumped.lumped_model import Physics
+from estimator.lumped.nodes import build_even_weights
 from estimator.measured_data import Samples
 from estimator.units import ROTARY
 from studies import hidden_effects
+from studies.hidden_effects.controls import ANGLE, move_motor
 from studies.hidden_effects.loop import Loop, draw_motion, run
 
 ANGLE_NOISE = 5e-5  # [rad]
@@ -100,3 +106,45 @@ def test_tension_and_the_tips_travel_are_enough():
     sheath = made.truth["sheath"]
     for name, true in {"K": sheath["K"], "tip compliance": 1.0 / sheath["k"]}.items():
         assert found.parameters[name].low < true < found.parameters[name].high
+
+
+WEIGHT = 1.5, -0.6  # [N m] sine and cosine
+
+
+@pytest.mark.parametrize("zero", [0.0, 40.0])
+def test_a_weight_adds_its_torque_to_that_of_the_spring(zero):
+    time, angle = draw_motion(4, 10.0, 50.0)
+    speed, none = np.gradient(angle, time), np.zeros_like(time)
+    physics = Physics(np.full(len(time), 1e-4), 1e-4, build_even_weights(), tip_compliance=0.3)
+    context = EffectContext(time, PROXIMAL_DISPLACEMENT, angle + zero, speed, {}, {}, none, 1e-4)
+    values = LINK_GRAVITY.shift_encoder_zero(WEIGHT, zero)
+    loaded = LINK_GRAVITY.physics(physics, values, context)
+    torque = simulate_loop(loaded, 5.0, time, angle, speed).distal_tension
+    line = 1.0 / 0.3 - np.hypot(*WEIGHT)  # the spring's is that of both where the link hangs
+    others = torque - WEIGHT[0] * np.sin(angle) - WEIGHT[1] * np.cos(angle) - line * angle
+    assert np.ptp(others) < 2e-3 * np.ptp(torque)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cause", ["link_gravity", "cogging_ripple"])
+def test_the_weight_of_a_link_and_a_ripple_are_told_apart(cause):
+    rng = np.random.default_rng(3)
+    motion = move_motor(rng, sine=False)
+    angle = ANGLE * motion.travel
+    torque = 0.3 * np.tanh(ANGLE * motion.speed / 0.01)
+    if cause == "link_gravity":
+        torque += WEIGHT[0] * np.sin(angle) + WEIGHT[1] * np.cos(angle)
+    else:
+        torque += 1.5 * (angle - angle.mean()) + 0.1 * np.sin(9.0 * angle)
+    torque += 5e-3 * rng.standard_normal(len(angle))
+    read = angle + 1e-4 * rng.standard_normal(len(angle))
+    found = diagnose(
+        Samples(motion.time, torque, read, None, None, ROTARY), ["link_gravity", "cogging_ripple"]
+    )
+    assert found.causes == (cause,)
+    if cause == "link_gravity":
+        numbers = [found.parameters[f"link_gravity.{name}"] for name in ("sine", "cosine")]
+        assert all(n.low < true < n.high for n, true in zip(numbers, WEIGHT, strict=True))
+    else:
+        assert found.verdict is Verdict.NAMED
+        assert found.parameters["cogging_ripple.number"].value == pytest.approx(9.0, rel=0.02)
