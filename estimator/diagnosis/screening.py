@@ -50,6 +50,7 @@ SECOND_STARTS_MAX, RAW_STARTS_MAX = 10, 12  # starts of all effects, besides the
 # shares of a search after which these are done
 SCREENING_PROGRESS, FITTING_PROGRESS = 0.3, (0.6, 0.75)
 HALVINGS = 3  # of a linear step that leads uphill
+SLOPE_MIN = 1e-3  # of the steepest, of a direction that a linear step may go in
 ROUNDS = (4, 6)  # of the first fits, on subsampled records
 FINAL_ROUNDS = 25  # rounds of the last fit, on whole records
 # after these: of the cost without the effect, above which it is not finished, and
@@ -255,7 +256,7 @@ def screen_candidates(
     residual = compute_residual(dataset, current_fit)
     J = compute_jacobian(dataset, contexts, current_fit)
     J[:, ~ParameterLayout(dataset, current_fit.model).is_smooth] = 0.0  # times have no gradient
-    solve = np.linalg.pinv(J)
+    solve = np.linalg.pinv(J, rcond=SLOPE_MIN)  # the stiff cables of a loop may have none
     current_cost = compute_cost(dataset, current_fit)
     effect_starts = [
         (effect, values)

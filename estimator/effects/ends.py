@@ -26,6 +26,7 @@ from estimator.noise_treatment import apply_play
 TRAVEL = frozenset({PROXIMAL_DISPLACEMENT})
 BOTH_TRAVELS = frozenset({PROXIMAL_DISPLACEMENT, DISTAL_DISPLACEMENT})
 ONSET_COUNT = 16
+GRAVITY_PART = 0.3  # of a weight, to begin with: what friction lags behind all of it costs more
 DWELL_TIMES = (0.5, 1.0, 2.0, 4.0, 8.0)  # [s]
 
 PRETENSION = Effect(
@@ -133,30 +134,33 @@ TIP_INERTIA = Effect(
 )
 
 
-def _build_gravity_waves(context: EffectContext) -> Array:
-    """Return the sine and cosine of a joint's angle, shape (n, 2)."""
-    angle = context.drive / context.radian
-    return np.column_stack([np.sin(angle), np.cos(angle)])
-
-
 def _find_gravity_starts(context: EffectContext) -> Iterable[Values]:
+    """Return the weight that explains most beside any spring, a part of what this one leaves."""
     rows = context.select_measured(PROXIMAL_TENSION)
-    simulated = context.simulated[PROXIMAL_TENSION]
-    columns = [np.ones(len(rows)), context.drive, simulated, _build_gravity_waves(context)]
-    known = np.column_stack(columns)[rows]
+    simulated, angle = context.simulated[PROXIMAL_TENSION], context.drive / context.radian
     residual = (context.measured[PROXIMAL_TENSION] - simulated)[rows]
+    known = np.column_stack([np.ones_like(angle), angle, simulated, np.sin(angle), np.cos(angle)])[
+        rows
+    ]
     sine, cosine = np.linalg.lstsq(known, residual, rcond=None)[0][-2:].tolist()
-    return [(sine, cosine)]
+    torque = _compute_gravity_torque((sine, cosine), context)[rows]
+    share = float(torque @ (residual - residual.mean())) / max(float(torque @ torque), 1e-30)
+    return [(GRAVITY_PART * share * sine, GRAVITY_PART * share * cosine)]
+
+
+def _compute_gravity_torque(values: Values, context: EffectContext) -> Array:
+    """Return the torque of a weight, (n,), less its mean and the slope where it hangs still.
+
+    The load's spring has that slope, and where the tendon is taut that mean: so a fit begins where
+    the base law's spring already stands for the weight, and the spring is not negative above.
+    """
+    angle = context.drive / context.radian
+    torque = values[0] * np.sin(angle) + values[1] * np.cos(angle) - math.hypot(*values) * angle
+    return np.asarray(torque - torque.mean())
 
 
 def _apply_gravity(physics: Physics, values: Values, context: EffectContext) -> Physics:
-    """Return a tendon with a weight at its tip, less the line that it has where it hangs still.
-
-    The load's spring has that slope, and where the record starts takes up a constant: so the fit
-    begins where the base law's spring already stands for the weight, and is not negative above.
-    """
-    angle = (context.drive - np.mean(context.drive)) / context.radian
-    torque = _build_gravity_waves(context) @ np.array(values) - math.hypot(*values) * angle
+    torque = _compute_gravity_torque(values, context)
     return physics._replace(tip_offset=physics.tip_offset - physics.tip_compliance * torque)
 
 

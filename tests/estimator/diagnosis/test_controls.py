@@ -59,6 +59,13 @@ def test_no_cause_is_named_of_a_mechanism_without_a_sheath(name):
     assert judge(name, 7, tip=False).right
 
 
+@pytest.mark.slow
+def test_the_weight_of_a_link_is_among_what_is_named_of_it():
+    result = judge("link with gravity and dry friction", 1, tip=False)
+    assert result.right
+    assert result.named[0] == "link_gravity"
+
+
 def test_what_the_time_limit_left_out_is_said():
     travel = 2e-3 * (1.0 + np.sin(2.0 * np.pi * 0.3 * TIME))
     tension = 3000.0 * travel * (1.0 + 0.2 * np.sin(TIME)) + 1.0
