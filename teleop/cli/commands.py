@@ -10,7 +10,6 @@ import shlex
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NoReturn, TextIO
 
 from teleop.config.suggestions import suggest_spelling
@@ -96,8 +95,12 @@ def _reject_unknown_words(
 ) -> NoReturn:
     """Raise `UsageError` about words that no argument takes, with what they may have meant."""
     word = unknown[0]
-    (commands,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-    options = commands.choices[words[0]]._option_string_actions
+    for name in words:
+        below = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
+        if not below or name not in below[0].choices:
+            break
+        parser = below[0].choices[name]
+    options = parser._option_string_actions
     before = words[: words.index(word)]
     hint = ""
     if word.startswith("-"):
@@ -107,7 +110,7 @@ def _reject_unknown_words(
     elif word.endswith((".yaml", ".yml")) and "--config" in options:
         hint = f"; did you mean --config {word}?"
     raise UsageError(
-        f"unrecognized arguments: {' '.join(unknown)}{hint} (see `teleop {words[0]} --help`)"
+        f"unrecognized arguments: {' '.join(unknown)}{hint} (see `{parser.prog} --help`)"
     )
 
 
@@ -158,27 +161,6 @@ def main(argv: Sequence[str] | None = None, begin: Callable[[], object] = lambda
     """
     words = list(sys.argv[1:] if argv is None else argv)
     return _run_guarded(lambda: _run_command(words, begin))
-
-
-def run_program(prog: str, program: ModuleType, argv: Sequence[str] | None = None) -> int:
-    """Run a module with `add_arguments` and `main` as a program; returns its exit code.
-
-    The docstring of the module describes it.
-    """
-    words = list(sys.argv[1:] if argv is None else argv)
-    return _run_guarded(lambda: int(program.main(parse_words(prog, program, words))))
-
-
-def parse_words(prog: str, program: ModuleType, words: Sequence[str]) -> argparse.Namespace:
-    """Return the arguments of `run_program`; raises `UsageError`."""
-    parser = Parser(
-        prog=prog, description=program.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    program.add_arguments(parser)
-    output_file.add_force_option(parser)
-    args = parser.parse_args(words)
-    output_file.check_outputs(parser, args)
-    return args
 
 
 def _run_command(words: list[str], begin: Callable[[], object]) -> int:

@@ -1,7 +1,6 @@
 """No command overwrites an input, or a file that exists, unless told to."""
 
 import argparse
-import importlib
 import os
 import stat
 from pathlib import Path
@@ -9,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from teleop.cli import commands
-from teleop.cli.bench.command import BENCHES
 from teleop.errors import UsageError
 from teleop.runtime.output_file import (
     NewFolder,
@@ -38,11 +36,6 @@ def parsers():
         parser = commands.build_parser(name)
         (subcommands,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
         yield name, subcommands.choices[name]
-    for name, (module, _) in BENCHES.items():
-        parser = argparse.ArgumentParser()
-        importlib.import_module(module).add_arguments(parser)
-        add_force_option(parser)
-        yield f"bench {name}", parser
 
 
 def walk(parser):

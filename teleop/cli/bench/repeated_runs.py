@@ -139,7 +139,6 @@ def _find_commit() -> str | None:
     return done.stdout.strip()
 
 
-PERCENTILES = {"p50": "p50", "p99": "p99", "p99_9": "p99.9"}  # name in a summary -> in a table
 RUNS, SECONDS = 5, 10.0
 QUICK_RUNS, QUICK_SECONDS = 3, 4.0
 SECONDS_LEAST = 3.0  # [s] of a run: shorter ones are mostly start-up
