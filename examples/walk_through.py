@@ -16,7 +16,7 @@ from teleop import make_spring_bench, simulate
 
 # %%
 bench = make_spring_bench(effects=[FrictionStep(change=0.3, start=12.0)])
-run = simulate(bench, "nested", duration=24.0, rate=100.0).tendon()
+run = simulate(bench, "nested", duration=24.0, rate=50.0).tendon()
 
 # %% [markdown]
 # ## 2. The plain law
@@ -27,8 +27,8 @@ fit = est.fit_sheath(run, length=1.5)
 print(f"K = {fit.K.value:.3f} ({fit.K.low:.3f} to {fit.K.high:.3f}); accepted: {fit.accept}")
 tip = est.Estimator(fit.model).run(run)
 error = tip.tension - run.distal_tension
-print(f"RMSE {np.sqrt(np.mean(error**2)):.3f} N; first half {error[:1200].std():.3f} N, "
-      f"second half {error[1200:].std():.3f} N")  # fmt: skip
+print(f"RMSE {np.sqrt(np.mean(error**2)):.3f} N; first half {error[:600].std():.3f} N, "
+      f"second half {error[600:].std():.3f} N")  # fmt: skip
 
 # %% [markdown]
 # ## 3. The diagnosis
