@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from studies.testbed.processes import wait_for_condition
 from teleop import (
     ButtonObserver,
     ConstantStimuli,
@@ -241,14 +242,15 @@ def test_the_hand_moves_the_tip_and_feels_it(engaged):
     for step in range(60):
         engaged.operator.move(0.05 * step / 59)
         time.sleep(0.02)
-    reached = list(engaged.states(0.3))[-1]
-    scale = engaged.config.master.operator.position_scale
-    assert reached.position[0] - start == pytest.approx(0.05 * scale, abs=0.003)
-    assert reached.force_low[0] <= reached.force[0] <= reached.force_high[0]
+    goal = start + 0.05 * engaged.config.master.operator.position_scale
+    for reached in engaged.states(10.0):  # on a busy machine the tip is late
+        engaged.operator.move(0.05)
+        if abs(reached.position[0] - goal) < 0.003 and reached.force[0] > 1.0:
+            break
+    assert reached.position[0] == pytest.approx(goal, abs=0.003)
     assert reached.force[0] > 1.0
-    engaged.operator.move(0.05)
-    time.sleep(0.1)
-    assert engaged.operator.force[0] < -0.05
+    assert reached.force_low[0] <= reached.force[0] <= reached.force_high[0]
+    assert wait_for_condition(lambda: engaged.operator.force[0] < -0.05, 1.0)
 
 
 def test_states_and_blocks_have_every_message_once(engaged):
@@ -325,6 +327,7 @@ def test_another_program_joins_it(session):
     with join_session(session.name) as other:
         assert len(list(other.states(0.5))) > 30
         assert other.set("force.scale", 0.2) == "force.scale = 0.2"
+        other.wait_for("ready")
         with pytest.raises(TeleopError, match=r"not fault within 0.3 s: the master is ready"):
             other.wait_for("fault", timeout=0.3)
         with pytest.raises(UsageError, match="allowed are off, ready"):

@@ -21,6 +21,7 @@ HELD = (
     *("master.device.engage=[[0.5, 1000.0]]", "master.device.engage_period=.inf"),
     # on a busy machine a silence that is not meant would end the session
     *("master.state_timeout=0.5", "master.delay_max=1.0", "slave.command_timeout=0.5"),
+    "health={loss: 1.0, round_trip: 10.0, jitter: 10.0}",  # and late messages scale motion down
 )
 LIMIT_NS = 50_000_000  # from the call heard by the recorder to no force and no motion
 

@@ -27,8 +27,8 @@ from teleop.recording.reader import read_messages
 from tests.root import ROOT
 
 DEMO = ROOT / "configs" / "demo.yaml"
-SLOW = {"rate_hz": 250.0, "slave.command_timeout": 0.2, "master.state_timeout": 0.2,
-        "master.delay_max": 0.4, "realtime.priority": 0}  # fmt: skip
+SLOW = {"rate_hz": 250.0, "slave.command_timeout": 0.5, "master.state_timeout": 0.5,
+        "master.delay_max": 1.0, "realtime.priority": 0}  # fmt: skip
 LEVELS = ConstantStimuli((0.0, 1.0), 2)
 STIFFNESS = "slave.rig.joints.0.environment.stiffness"
 
@@ -48,7 +48,7 @@ def run(config, folder, **words):
 @pytest.mark.real_time
 def test_trials_take_place_in_one_session_and_are_marked_in_its_recording(tmp_path):
     """The hand holds on, whatever the stiffness that a condition sets."""
-    engage = {"master.device.engage": [[0.5, 12.0]], "master.device.engage_period": 12.5}
+    engage = {"master.device.engage": [[0.5, 1000.0]], "master.device.engage_period": 1001.0}
     factors = {"impair.to_slave.delay": (0.01,), STIFFNESS: (2000.0, 12_000.0)}
     design = Design(factors=factors, procedure=ConstantStimuli((0.0, 1.0), 1), intervals=2, seed=2)
     lines = run(load_config(DEMO, SLOW | engage), tmp_path, design=design, set_stimulus=set_force)
