@@ -284,12 +284,14 @@ class SimulatedRig:
             schedule.update_joint(0.0, 0.0, start[: len(tendons)]) or joint
             for schedule, joint, tendons in zip(self._schedules, joints, self.joints, strict=True)
         ]
-        self._arm = build_arm(config.arms, self.joints) if config.arms else None
+        self._arm: Arm | None = None
         self._arm_state: Any = None  # an ArmState
-        if self._arm is not None:
-            self._arm_state = init_arm(self._arm)
+        if config.arms:
+            stiffness = [t.sheath.axial_stiffness for joint in config.joints for t in joint.tendons]
+            self._arm = build_arm(config.arms, self.joints, stiffness)
             pretensions = np.zeros_like(targets)
             pretensions.flat[self._places] = [pull for row in pulls for pull in row]
+            self._arm_state = init_arm(self._arm, pretensions)
             joints = balance_springs(self._arm, joints, pretensions)
         self._joints = to_compiled_list(joints)
         replace_item(self._joints, 0, joints[0])  # compiles the functions for effects
@@ -390,15 +392,14 @@ class SimulatedRig:
     @property
     def anchor_tensions(self) -> Array:
         """True tension of each tendon of arms where it ends [N], shape (tendons,)."""
-        ratio = self._get_arm().ratio.reshape(-1, len(self.joints))[self._places]
-        tension = self._arm_state.tension.reshape(-1, len(self.joints))[self._places]
-        last = [int(np.flatnonzero(row)[-1]) for row in ratio]
-        return np.asarray(tension[np.arange(len(last)), last])
+        last = self._get_arm().stretches.ravel()[self._places] - 1
+        tension = self._arm_state.tension
+        return np.asarray(tension.reshape(-1, tension.shape[-1])[self._places, last])
 
     @property
     def joint_forces(self) -> Array:
         """True force of all tendons on each joint of arms [N], shape (joints,)."""
-        return np.asarray((self._get_arm().ratio * self._arm_state.tension).sum(axis=(0, 1)))
+        return np.einsum("ksej,kse->j", self._get_arm().shortening, self._arm_state.tension)
 
     def _get_arm(self) -> Arm:
         if self._arm is None:

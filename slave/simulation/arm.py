@@ -8,18 +8,24 @@ sheath a tendon travels towards the housing by
 
 of tendons of a pair with either sign.
 
-Within the arm a tendon does not stretch. At each joint that it passes it goes round a pin on the
-link before it: two beads with Coulomb friction on what presses on them,
+Within the arm a tendon is a chain of springs between guides, as in its sheath: at each joint that
+it passes it goes round a pin on the link before it, with Coulomb friction of two beads,
 
-    f = T_before - T_behind,   |f| <= mu wrap / 2 * (T_before + T_behind) / 2
+    f = T_before - T_behind,   |f| <= mu wrap / 2 * (T_before + T_behind) / 2   each
 
-and an elastic deflection before they slide. They slide by the travel of the joints from there on,
-by which the tendon is drawn past them. The wrap is |wrap_0 -+ theta_j|, less where the joint pulls
-the tendon in; in a curved section, of two bends, the guide is its whole length and the wrap that of
-both together. The tension behind the pin turns the joint. All joints are solved together, by
-Newton's method with the exact slopes of the piecewise linear responses of tendons and contacts
-(implicit Euler). The mass matrix of the links and their weight are those at the start of a step;
-what their motion throws is that at the speed in the middle of it, extrapolated from two steps.
+With u the displacement of the tendon at a guide (positive towards the housing, 0 at its anchor),
+
+    u_e - u_(e+1) = c_e (T_e - T_0) + sum_j shortening_ej q_j,   ratio_j = sum_e shortening_ej
+
+so what slides at a guide is what stretches and what turns behind it. The wrap is |wrap_0 -+
+theta_j|, less where the joint pulls the tendon in; a curved section, of two bends, has guides all
+along it and the wrap of both bends together. Tensions turn the joints by sum_e shortening_ej T_e.
+
+The tension that the arm asks for rises with the place of the sheath's end, that of the sheath falls
+with it, both piecewise linearly: they meet once. All joints are solved together, by Newton's method
+with the exact slopes (implicit Euler). The mass matrix of the links and their weight are those at
+the start of a step; what their motion throws is that at the speed in the middle of it, extrapolated
+from two steps.
 """
 
 import math
@@ -36,7 +42,7 @@ from estimator.compiled import jit_compile
 from estimator.small_arrays import copy_values
 from slave.simulation.chain_step import compute_response, recover_state
 from slave.simulation.environment import compute_environment_force
-from slave.simulation.friction_nodes import Curve, Response
+from slave.simulation.friction_nodes import Curve, Response, find_corner
 from slave.simulation.joint import Joint, JointState, TendonState, fill_truth, wind_tendon
 from slave.simulation.link_inertia import LinkMotion, Links, build_links, compute_link_motion
 from slave.simulation.motor import MotorState
@@ -48,7 +54,6 @@ from slave.simulation.space_contacts import (
     locate_surfaces,
     press_surface,
 )
-from slave.simulation.tendon import Chain
 from teleop.config.arm import (
     LinkedArmConfig,
     assemble_bend_partners,
@@ -60,14 +65,16 @@ from teleop.config.ranges import build_ranged_field
 STOP_STIFFNESS = 1e6  # [N/m] of end stops and of stuck joints, soft enough to be solved
 FORCE_TOLERANCE = 1e-9  # [N] of balance
 MAX_ITERATIONS = 40  # of Newton's method; three are needed
+MEETING_TOLERANCE, MEETING_ITERATIONS = 1e-13, 60  # of a tension; about four are needed
+SECTION_GUIDES = 2  # along a curved section
 
 
 @dataclass(frozen=True, slots=True)
 class ArmPlantConfig(LinkedArmConfig):
     """An arm as it is: tendons that pass joints, their friction there, and what the tip meets."""
 
-    # deflection of a guide's contact before it slides
-    presliding: float = build_ranged_field(5e-6, 1e-7, 1e-3, "m")
+    # of tendon from the pin of each joint to the next, or to its anchor
+    span: float = build_ranged_field(0.03, 1e-3, 1.0, "m")
     contacts: tuple[SurfaceConfig, ...] = ()  # of the tip, in the base
 
     def __post_init__(self) -> None:
@@ -77,40 +84,74 @@ class ArmPlantConfig(LinkedArmConfig):
 
 
 class Arm(NamedTuple):
-    """An arm's constants, for n joints."""
+    """An arm's constants, for n joints.
+
+    Tendon `side` of joint k has `stretches[k, side]` stretches, from its sheath's end to its
+    anchor, with a guide between each and the next.
+    """
 
     ratio: Array  # shape (n, 2, n): travel of tendons a and b of joint k over that of joint j
-    guides: NDArray[np.bool_]  # shape (n, 2, n): where these rub
+    stretches: NDArray[np.int64]  # shape (n, 2)
+    shortening: Array  # shape (n, 2, stretches, n): of a stretch over the travel of joint j
+    compliance: Array  # [m/N] shape (n, 2, stretches)
+    guide: NDArray[np.int64]  # joint of the guide before a stretch, shape (n, 2, stretches)
+    friction: Array  # mu there, times the part of the joint's wrap, shape (n, 2, stretches)
     radius: Array  # [m] shape (n,)
-    friction: Array  # mu of what passes a joint, shape (n,)
     wrap: Array  # [rad] shape (n,)
-    presliding: Array  # [m] shape (n,)
     partner: NDArray[np.int64]  # the other bend of a joint's curved section, -1: it is a pin
     contacts: SpaceContacts
     links: Links
 
 
-def build_arm(configs: Sequence[ArmPlantConfig], joints: Sequence[Sequence[int]]) -> Arm:
-    """Return the arms that `configs` describe as one, of a rig's joints; may raise `UsageError`."""
+def build_arm(
+    configs: Sequence[ArmPlantConfig],
+    joints: Sequence[Sequence[int]],
+    axial_stiffness: Sequence[float],
+) -> Arm:
+    """Return the arms that `configs` describe as one, of a rig's joints; may raise `UsageError`.
+
+    `axial_stiffness` [N] is that of each tendon.
+    """
     rows, n = assemble_tendon_rows(configs, joints), len(joints)
-    contact = np.zeros((3, n))
+    friction, wrap, length = np.zeros(n), np.zeros(n), np.full(n, 1e-3)
     first = 0
     for config in configs:
-        last = first + config.joints
-        contact[0, first:last] = config.list_friction()
-        contact[1:, first:last] = [[config.wrap], [config.presliding]]
-        first = last
+        part = slice(first, first + config.joints)
+        friction[part], wrap[part], length[part] = config.list_friction(), config.wrap, config.span
+        for i, section in enumerate(config.sections):
+            length[first + 2 * i : first + 2 * i + 2] = section.length
+        first = part.stop
     contacts = build_space_contacts([(config, config.contacts) for config in configs])
     partner = assemble_bend_partners(configs, n)
-    ratio, guides = np.zeros((n, 2, n)), np.zeros((n, 2, n), dtype=np.bool_)
     rubs = find_guides(rows.travel, partner)
-    for k, tendons in enumerate(joints):
-        ratio[k, : len(tendons)], guides[k, : len(tendons)] = (
-            rows.travel[list(tendons)],
-            rubs[list(tendons)],
-        )
+    room = 1 + n * SECTION_GUIDES
+    ratio, stretches = np.zeros((n, 2, n)), np.ones((n, 2), dtype=np.int64)
+    shortening, compliance = np.zeros((n, 2, room, n)), np.zeros((n, 2, room))
+    guide, mu = np.zeros((n, 2, room), dtype=np.int64), np.zeros((n, 2, room))
+    for k, side, tendon in [(k, s, t) for k, row in enumerate(joints) for s, t in enumerate(row)]:
+        ratio[k, side] = rows.travel[tendon]
+        last = 0
+        for j in np.flatnonzero(ratio[k, side]):
+            bends = [j] if partner[j] < 0 else [j, partner[j]]
+            turned = np.where(np.isin(np.arange(n), bends), ratio[k, side], 0.0)
+            if partner[j] >= 0 and partner[j] < j and ratio[k, side, partner[j]] != 0.0:
+                continue  # a section counts once
+            count = (1 if partner[j] < 0 else SECTION_GUIDES) if rubs[tendon, j] else 0
+            new, ends = slice(last + 1, last + 1 + count), slice(last, last + 1 + count)
+            guide[k, side, new], mu[k, side, new] = j, friction[j] / max(count, 1)
+            share = np.full(count + 1, 1.0 / max(count, 1))
+            if partner[j] >= 0:
+                share[[0, -1]] /= 2.0 if count else 1.0
+            else:
+                share[: min(count, 1)] = 0.0  # the pin is on the link before the joint
+            shortening[k, side, ends] += np.outer(share, turned)
+            compliance[k, side, ends] += share * length[j] / axial_stiffness[tendon]
+            last += count
+        stretches[k, side] = last + 1
+    most = stretches.max()
     return Arm(
-        ratio, guides, rows.radius, contact[0], contact[1], contact[2], np.array(partner), contacts,
+        ratio, stretches, shortening[:, :, :most], compliance[:, :, :most], guide[:, :, :most],
+        mu[:, :, :most], rows.radius, wrap, np.array(partner), contacts,
         build_links(configs, rows.radius),
     )  # fmt: skip
 
@@ -127,48 +168,83 @@ def balance_springs(arm: Arm, joints: Sequence[Joint], pretensions: Array) -> li
 class ArmState(NamedTuple):
     """State of an arm beside that of its joints; changed in place."""
 
-    beads: Array  # [N] friction, shape (n, 2, n, 2): joint, tendon, passed joint, before and behind
+    place: Array  # [m] of the tendons before each stretch, shape (n, 2, stretches)
+    tension: Array  # [N] of each stretch, the same shape
     joints: Array  # [N] dry friction of the joints, shape (n,)
-    tension: Array  # [N] of each tendon at each joint, shape (n, 2, n)
     speed: Array  # [m/s] of the joints before the last step, shape (n,)
 
 
 @jit_compile
-def init_arm(arm: Arm) -> ArmState:
-    """Return the state of an arm with all joints straight and no friction."""
-    n = len(arm.radius)
-    return ArmState(np.zeros((n, 2, n, 2)), np.zeros(n), np.zeros((n, 2, n)), np.zeros(n))
+def init_arm(arm: Arm, pretensions: Array) -> ArmState:
+    """Return the state of an arm with all joints straight, one tension [N] all along a tendon."""
+    shape, n = arm.compliance.shape, len(arm.radius)
+    tension = np.zeros(shape)
+    for e in range(shape[2]):
+        tension[:, :, e] = pretensions
+    return ArmState(np.zeros(shape), tension, np.zeros(n), np.zeros(n))
+
+
+@jit_compile
+def compute_grips(arm: Arm, travel: Array) -> Array:
+    """Return the tension behind each guide over that before it, sliding towards the housing."""
+    grips = np.ones(arm.friction.shape)
+    for k, side, e in np.ndindex(grips.shape):
+        j = arm.guide[k, side, e]
+        bend = abs(arm.wrap[j] - np.sign(arm.ratio[k, side, j]) * travel[j] / arm.radius[j])
+        if arm.partner[j] >= 0:
+            bend = math.hypot(bend, travel[arm.partner[j]] / arm.radius[arm.partner[j]])
+        bead = 0.25 * arm.friction[k, side, e] * bend
+        grips[k, side, e] = ((1.0 - bead) / (1.0 + bead)) ** 2
+    return grips
 
 
 @jit_compile
 def evaluate_curve(curve: Curve, place: float) -> tuple[float, float]:
     """Return the tension [N] of a response at `place` [m] and its slope [N/m]."""
-    places, tensions = curve.place, curve.tension
-    upper = int(np.searchsorted(-places, -place))
+    upper = find_corner(curve, place)
     if upper == 0:
         return 0.0, 0.0
-    base, tension = places[upper - 1], tensions[upper - 1]
+    base, tension = curve.place[upper - 1], curve.tension[upper - 1]
     slope = 1.0 / curve.ray
-    if upper < len(places):
-        slope = (tensions[upper] - tension) / (places[upper] - base)
+    if upper < len(curve.place):
+        slope = (curve.tension[upper] - tension) / (curve.place[upper] - base)
     return tension + slope * (place - base), slope
 
 
 @jit_compile
-def transfer_through_arm(
+def meet_curve(curve: Curve, place: float, tension: float, ray: float) -> float:
+    """Return the tension [N] at which a response meets a line upwards from a point, not above it.
+
+    The line is at `place` + `ray` (T - `tension`) [m].
+    """
+    T, most = tension, evaluate_curve(curve, place)[0]
+    least = T
+    for _ in range(MEETING_ITERATIONS):
+        drawn, slope = evaluate_curve(curve, place + ray * (T - tension))
+        if abs(T - drawn) <= MEETING_TOLERANCE * T:
+            break
+        least, most = (T, most) if T < drawn else (least, T)
+        T -= (T - drawn) / (1.0 - ray * slope)
+        if not least < T < most:
+            T = 0.5 * (least + most)
+    return T
+
+
+@jit_compile
+def pull_through_arm(
     arm: Arm,
     k: int,
     side: int,
     curve: Curve,
-    friction: Array,
-    loads: Array,
-    start: Array,
+    pretension: float,
+    grips: Array,
+    stay: Array,
     travel: Array,
-    out_friction: Array,
+    out_place: Array,
     out_tension: Array,
     out_slope: Array,
 ) -> None:
-    """Compute the tension of a tendon of joint k at each joint, and its slopes.
+    """Compute a tendon of joint k within the arm with its joints at `travel` [m], shape (n,).
 
     Parameters
     ----------
@@ -176,55 +252,93 @@ def transfer_through_arm(
         0 for tendon `a`, 1 for `b`.
     curve : Curve
         Response of the tendon at its sheath's end.
-    friction, loads : array, shape (n, 2), (n,)
-        Friction of the beads [N] and the tensions at the joints [N] before the step.
-    start, travel : array, shape (n,)
-        Of the joints [m], before the step and after it.
-    out_friction, out_tension : array, shape (n, 2), (n,)
-        The same at `travel`; zero at joints that the tendon does not move.
-    out_slope : array, shape (n, n)
+    pretension : float
+        [N] in each stretch while all displacements are zero.
+    grips, stay : array, shape (stretches,)
+        Of `compute_grips`, and the places before the stretches before the step [m].
+    out_place, out_tension : array, shape (stretches,)
+        The places [m], and the tensions of the stretches [N].
+    out_slope : array, shape (stretches, n)
         Of the tensions over the travels [N/m].
     """
-    n, ratio = len(travel), arm.ratio[k, side]
-    behind, place = 0.0, 0.0  # slip of the next bead in this step, and the sheath's end [m]
-    for j in range(n):
-        behind += ratio[j] * (travel[j] - start[j])
-        place += ratio[j] * travel[j]
-    tension, slope = evaluate_curve(curve, place)
-    slopes = slope * ratio
-    out_tension[:], out_friction[:], out_slope[:] = 0.0, 0.0, 0.0
-    for j in range(n):
-        if ratio[j] == 0.0:
+    count, c = arm.stretches[k, side], arm.compliance[k, side]
+    shortening = arm.shortening[k, side]
+    held, gain, rest = np.empty(count), np.empty(count), np.empty(count)
+    # corners of the tension that the arm asks for before a stretch, over the place there, rising
+    x, T = np.zeros(2 * count + 1), np.zeros(2 * count + 1)
+    corners, ray = 1, 0.0
+    for e in range(count - 1, -1, -1):
+        rest[e] = -c[e] * pretension
+        for j in range(len(travel)):
+            rest[e] += shortening[e, j] * travel[j]
+        for i in range(corners):
+            x[i] += c[e] * T[i] + rest[e]
+        ray += c[e]
+        if e == 0:
+            break
+        i = 0
+        while i < corners and x[i] < stay[e]:
+            i += 1
+        held[e], new = 0.0, 0  # slack where it stays
+        if i > 0:
+            along = ray if i == corners else (x[i] - x[i - 1]) / (T[i] - T[i - 1])
+            held[e], new = T[i - 1] + (stay[e] - x[i - 1]) / along, 2
+        for m in range(corners - 1, i - 1, -1):
+            x[m + new], T[m + new] = x[m], T[m] / grips[e]
+        for m in range(i):
+            T[m] *= grips[e]
+        for m in range(new):
+            x[i + m], T[i + m] = stay[e], held[e] * (grips[e] if m == 0 else 1.0 / grips[e])
+        corners, ray = corners + new, ray * grips[e]
+    i = 1
+    while i < corners and T[i] < evaluate_curve(curve, x[i])[0]:
+        i += 1
+    along = ray if i == corners else (x[i] - x[i - 1]) / (T[i] - T[i - 1])
+    out_tension[0] = meet_curve(curve, x[i - 1], T[i - 1], along)
+    for e in range(1, count):
+        before = out_tension[e - 1]
+        if before >= held[e] / grips[e]:
+            gain[e] = grips[e]
+        elif before <= held[e] * grips[e]:
+            gain[e] = 1.0 / grips[e]
+        else:
+            gain[e], out_tension[e] = 0.0, held[e]
             continue
-        if not arm.guides[k, side, j]:
-            out_tension[j] = tension
-            copy_values(slopes, out_slope[j])
-            behind -= ratio[j] * (travel[j] - start[j])
-            continue
-        bend = abs(arm.wrap[j] - np.sign(ratio[j]) * start[j] / arm.radius[j])
-        other = arm.partner[j]
-        if other >= 0:
-            bend = math.hypot(bend, start[other] / arm.radius[other])
-        limit = 0.5 * arm.friction[j] * bend
-        stiffness = limit * max(loads[j], 0.1) / arm.presliding[j]
-        least, most = -limit / (1.0 - 0.5 * limit), limit / (1.0 + 0.5 * limit)
-        for bead in range(2):
-            force = friction[j, bead] + stiffness * behind
-            if force >= most * tension:
-                force = most * tension
-                slopes = slopes * (1.0 - most)
-            elif force <= least * tension:
-                force = least * tension
-                slopes = slopes * (1.0 - least)
-            else:
-                slopes = slopes.copy()
-                for i in range(j, n):
-                    slopes[i] -= stiffness * ratio[i]
-            out_friction[j, bead] = force
-            tension -= force
-        out_tension[j] = tension
-        copy_values(slopes, out_slope[j])
-        behind -= ratio[j] * (travel[j] - start[j])
+        out_tension[e] = before * gain[e]
+    place = 0.0
+    for e in range(count - 1, -1, -1):
+        place += c[e] * out_tension[e] + rest[e]
+        if e > 0 and gain[e] == 0.0:
+            place = stay[e]
+        out_place[e] = place
+    compute_tension_slopes(
+        shortening, c, gain[:count], evaluate_curve(curve, place)[1], out_slope
+    )
+
+
+@jit_compile
+def compute_tension_slopes(
+    shortening: Array, compliance: Array, gain: Array, slope: float, out_slope: Array
+) -> None:
+    """Compute how the tensions of a tendon's stretches rise with the travel of the joints [N/m].
+
+    `gain` is the tension of each stretch over that before it, 0 where the guide between them
+    sticks; `slope` [N/m] is that of the sheath's response.
+    """
+    begin, count = 0, len(gain)
+    while begin < count:
+        end, ratio, give = begin, 1.0, 0.0
+        out_slope[begin] = 0.0
+        while end == begin or (end < count and gain[end] != 0.0):
+            ratio *= 1.0 if end == begin else gain[end]
+            give += ratio * compliance[end]
+            out_slope[begin] += shortening[end]
+            end += 1
+        out_slope[begin] *= slope / (1.0 - slope * give) if begin == 0 else -1.0 / give
+        for e in range(begin + 1, end):
+            for j in range(out_slope.shape[1]):
+                out_slope[e, j] = gain[e] * out_slope[e - 1, j]
+        begin = end
 
 
 @jit_compile
@@ -234,6 +348,7 @@ def compute_residual(
     states: list[JointState],
     curves: list[Curve],
     before: ArmState,
+    grips: Array,
     after: ArmState,
     motion: LinkMotion,
     depth: Array,
@@ -250,7 +365,7 @@ def compute_residual(
     `out_residual` [N] has shape (n,), `out_slope` [N/m] shape (n, n).
     """
     n = len(travel)
-    start, one_slope = np.empty(n), np.empty((n, n))
+    start, tension_slope = np.empty(n), np.empty((arm.compliance.shape[2], n))
     for j in range(n):
         start[j] = states[j].travel
     out_slope[:] = 0.0
@@ -290,23 +405,27 @@ def compute_residual(
                 out_slope[j, i] += slope * depth_slope[m, j] * depth_slope[m, i]
     for k in range(n):
         for side in range(2 if joints[k].pair else 1):
-            transfer_through_arm(
+            chain = joints[k].a.chain if side == 0 else joints[k].b.chain
+            pull_through_arm(
                 arm,
                 k,
                 side,
                 curves[2 * k + side],
-                before.beads[k, side],
-                before.tension[k, side],
-                start,
+                chain.pretension,
+                grips[k, side],
+                before.place[k, side],
                 travel,
-                after.beads[k, side],
+                after.place[k, side],
                 after.tension[k, side],
-                one_slope,
+                tension_slope,
             )
-            for j in range(n):
-                out_residual[j] -= arm.ratio[k, side, j] * after.tension[k, side, j]
-                for i in range(n):
-                    out_slope[j, i] -= arm.ratio[k, side, j] * one_slope[j, i]
+            for e in range(arm.stretches[k, side]):
+                for j in range(n):
+                    shortening = arm.shortening[k, side, e, j]
+                    out_residual[j] -= shortening * after.tension[k, side, e]
+                    if shortening != 0.0:
+                        for i in range(n):
+                            out_slope[j, i] -= shortening * tension_slope[e, i]
 
 
 @jit_compile
@@ -320,20 +439,20 @@ def solve_arm(
 ) -> tuple[Array, ArmState, int]:
     """Return the travels [m] of the joints in balance, the arm's new state, and the iterations."""
     n = len(arm.radius)
-    after = init_arm(arm)
+    after = init_arm(arm, np.zeros((n, 2)))
     travel, residual, slope = np.empty(n), np.empty(n), np.empty((n, n))
     for j in range(n):
         travel[j] = states[j].travel
     speed = np.empty(n)
     for j in range(n):
         speed[j] = 1.5 * states[j].speed - 0.5 * before.speed[j]
-    motion = compute_link_motion(arm.links, travel, speed)
+    motion, grips = compute_link_motion(arm.links, travel, speed), compute_grips(arm, travel)
     depth, depth_slope = locate_surfaces(arm.contacts, motion)
     for j in range(n):
         after.speed[j] = states[j].speed
         travel[j] += states[j].speed * dt
     compute_residual(
-        arm, joints, states, curves, before, after, motion, depth, depth_slope, travel, dt,
+        arm, joints, states, curves, before, grips, after, motion, depth, depth_slope, travel, dt,
         residual, slope,
     )  # fmt: skip
     trial_residual, trial_slope = np.empty(n), np.empty((n, n))
@@ -346,7 +465,7 @@ def solve_arm(
         while True:  # a shorter step where the whole one is worse
             trial = travel - share * move
             compute_residual(
-                arm, joints, states, curves, before, after, motion, depth, depth_slope, trial, dt,
+                arm, joints, states, curves, before, grips, after, motion, depth, depth_slope, trial, dt,
                 trial_residual, trial_slope,
             )  # fmt: skip
             if np.abs(trial_residual).max() < excess or share < 1e-3:
@@ -390,65 +509,38 @@ def advance_arm(
                 responses.append(response)
                 curves.append(response.tip)
         travel, after, _ = solve_arm(arm, joints, states, curves, arm_state, dt)
-        copy_values(after.beads.ravel(), arm_state.beads.ravel())
+        copy_values(after.place.ravel(), arm_state.place.ravel())
         copy_values(after.joints, arm_state.joints)
         copy_values(after.tension.ravel(), arm_state.tension.ravel())
         copy_values(after.speed, arm_state.speed)
         for k in range(n):
             joint, state = joints[k], states[k]
-            place = compute_end_travel(arm, k, 0, travel)
-            a = _recover_tendon(
-                joint.a.chain, state.a, motors[2 * k], responses[2 * k], ends[k, 0], place, dt
-            )
-            b = state.b
-            if joint.pair:
-                b = _recover_tendon(
-                    joint.b.chain,
-                    state.b,
-                    motors[2 * k + 1],
-                    responses[2 * k + 1],
-                    ends[k, 1],
-                    compute_end_travel(arm, k, 1, travel),
-                    dt,
-                )
+            tendons = [state.a, state.b]
+            for side in range(2 if joint.pair else 1):
+                chain = joint.a.chain if side == 0 else joint.b.chain
+                tendons[side] = TendonState(
+                    motors[2 * k + side],
+                    recover_state(
+                        chain, tendons[side].chain, responses[2 * k + side], ends[k, side],
+                        after.place[k, side, 0], after.tension[k, side, 0], dt,
+                    ),
+                )  # fmt: skip
             speed = (travel[k] - state.travel) / dt
-            states[k] = JointState(a, b, travel[k], speed, place, state.time + dt)
-    return compute_arm_truth(arm, joints, states)
+            states[k] = JointState(
+                tendons[0], tendons[1], travel[k], speed, after.place[k, 0, 0], state.time + dt
+            )
+    return compute_arm_truth(arm_state, joints, states)
 
 
 @jit_compile
-def compute_end_travel(arm: Arm, k: int, side: int, travel: Array) -> float:
-    """Return the travel [m] of a tendon of joint k at the end of its sheath."""
-    place = 0.0
-    for j in range(len(travel)):
-        place += arm.ratio[k, side, j] * travel[j]
-    return place
-
-
-@jit_compile
-def _recover_tendon(
-    chain: Chain,
-    state: TendonState,
-    motor: MotorState,
-    response: Response,
-    end: float,
-    place: float,
-    dt: float,
-) -> TendonState:
-    """Return a tendon's state after a step that ends with its sheath's end at `place` [m]."""
-    tension = evaluate_curve(response.tip, place)[0]
-    return TendonState(motor, recover_state(chain, state.chain, response, end, place, tension, dt))
-
-
-@jit_compile
-def compute_arm_truth(arm: Arm, joints: list[Joint], states: list[JointState]) -> Array:
+def compute_arm_truth(
+    arm_state: ArmState, joints: list[Joint], states: list[JointState]
+) -> Array:
     """Return the true values of the sensors, shape (4, joints, 2); see `advance_arm`."""
-    channels, travel = np.zeros((len(CHANNELS), len(joints), 2)), np.empty(len(joints))
-    for k in range(len(joints)):
-        travel[k] = states[k].travel
+    channels = np.zeros((len(CHANNELS), len(joints), 2))
     for k in range(len(joints)):
         joint, state = joints[k], states[k]
-        fill_truth(channels[:, k, 0], joint.a, state.a, state.pulley)
+        fill_truth(channels[:, k, 0], joint.a, state.a, arm_state.place[k, 0, 0])
         if joint.pair:
-            fill_truth(channels[:, k, 1], joint.b, state.b, compute_end_travel(arm, k, 1, travel))
+            fill_truth(channels[:, k, 1], joint.b, state.b, arm_state.place[k, 1, 0])
     return channels

@@ -73,16 +73,23 @@ class Response(NamedTuple):
 
 
 @jit_compile
-def interpolate_curve(curve: Curve, place: float) -> float:
-    """Return the tension [N] of a curve at `place` [m]."""
-    places, tensions = curve.place, curve.tension
-    upper, last = 0, len(places)  # corners beyond `place`, by bisection
+def find_corner(curve: Curve, place: float) -> int:
+    """Return the first corner of a curve at `place` [m] or towards the tip; by bisection."""
+    upper, last = 0, len(curve.place)
     while upper < last:
         middle = (upper + last) // 2
-        if places[middle] > place:
+        if curve.place[middle] > place:
             upper = middle + 1
         else:
             last = middle
+    return upper
+
+
+@jit_compile
+def interpolate_curve(curve: Curve, place: float) -> float:
+    """Return the tension [N] of a curve at `place` [m]."""
+    places, tensions = curve.place, curve.tension
+    upper = find_corner(curve, place)
     if upper == 0:
         return 0.0
     base, tension = places[upper - 1], tensions[upper - 1]

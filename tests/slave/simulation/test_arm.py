@@ -20,6 +20,7 @@ from slave.simulation.space_contacts import (
     locate_surfaces,
     press_surface,
 )
+from studies.brute_force.routed import Bend, Pin, RoutedChain
 from teleop.config.arm import BendingSectionConfig, load_arm
 from teleop.errors import UsageError
 from tests.root import ROOT
@@ -61,7 +62,7 @@ def test_joints_that_share_no_tendon_move_as_joints_of_no_arm():
     own = SimulatedRig(
         SimulatedRigConfig(joints=(JointConfig((TENDON,) * 2, BODY, FreeConfig()),) * 3)
     )
-    shared = build_rig(np.diag([R] * 3).tolist(), friction=0.0)
+    shared = build_rig(np.diag([R] * 3).tolist(), friction=0.0, span=1e-3)
 
     def targets(time):
         return wind(0.006 * np.sin([3.0 * time, 2.0 * time, 4.0 * time]))
@@ -78,7 +79,9 @@ def test_tendons_that_pass_a_joint_travel_with_it_and_load_it():
     wanted = np.array([0.002, -0.003, 0.005])
     truth = run(rig, 1.5, lambda time: wind(ratio @ wanted * min(time, 1.0)))
     q = np.array([state.travel for state in rig._states])
-    assert truth[-1, 3, ::2] == pytest.approx(ratio @ q, abs=1e-12)
+    state, arm = rig._arm_state, rig._arm
+    stretch = arm.compliance[:, 0] * (state.tension[:, 0] - BODY.pretension)
+    assert truth[-1, 3, ::2] == pytest.approx(ratio @ q + stretch.sum(axis=1), abs=1e-9)
     assert np.sign(q).tolist() == [1.0, -1.0, 1.0]
     pressed = np.maximum(q - 0.001, 0.0) * 5000.0
     assert pressed.max() > 1.0
@@ -90,14 +93,49 @@ def test_passed_joints_take_tension_only_by_friction(friction):
     """Sliding in, the tension falls from joint to joint, at most by the capstan's ratio."""
     rig = build_rig(friction=friction, wrap=1.0)
     run(rig, 1.0, lambda time: wind(0.004 * np.array([0.0, 0.0, min(time, 0.9)])))
-    a = rig._arm_state.tension[2, 0]
-    end = float(rig._truth[2, 4])
+    end, *a = rig._arm_state.tension[2, 0]
+    assert end == pytest.approx(rig._truth[2, 4])
+    steps = np.array(a) / np.array([end, a[0]])
     if friction == 0.0:
-        assert a == pytest.approx(np.full(3, end))
+        assert steps == pytest.approx(np.ones(2))
         return
-    steps = a[:2] / np.array([end, a[0]])
     assert (steps < 1.0).all()
     assert (steps > np.exp(-1.02 * friction * 1.8)).all()  # at most 1.8 rad of wrap
+
+
+BACK_AND_FORTH = ([0.0, 0.5, 1.0, 1.5, 2.0], [0.0, 2e-3, 4e-4, 1.6e-3, 2e-4])  # [s], [m]
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.003])  # [m] the first joint, of two
+@pytest.mark.parametrize("is_section", [False, True])
+def test_tension_behind_a_guide_is_that_of_a_chain_of_beads(turned, is_section):
+    """Joints at rest, too: a tendon that stretches slides at a guide whose joint rests."""
+    mu, wrap, length = 0.2, 1.0, 0.05
+    sections = tuple(BendingSectionConfig(name, length) for name in "ab" if is_section)
+    radii = ((R, 0.0), (R, R))
+    guides = [Pin(0, R, mu, wrap, 0.03), Pin(1, R, 0.0, wrap, 0.03)]
+    if is_section:
+        radii = tuple(map(tuple, (np.eye(4) * R + np.eye(4, k=-2) * R).tolist()))
+        guides = [Bend(0, R, mu, wrap, 1e-6, length, -1.0), Bend(1, R, 0.0, 0.0, 1e-6, length)]
+    joint = 2 if is_section else 1  # of the tendon
+    body = dataclasses.replace(BODY, friction=100.0, pretension=2.0)
+    rig = build_rig(radii, body=body, friction=mu, wrap=wrap, sections=sections)
+    chain = RoutedChain([(0.1, 0.2)], 0.0, 9000.0, guides, [0.0, 0.0], 2.0, beads=2)
+    pairs = []
+    for time in np.arange(0.0, 2.0, 1e-3):
+        wanted = np.zeros(len(radii))
+        wanted[0] = turned * min(time, 1.0)
+        targets = wind(rig._arm.ratio[:, 0] @ wanted, offset=3e-4)
+        targets[0] += 0.02 * (turned != 0.0) * min(time / 0.2, 1.0)  # against the joint's friction
+        targets[2 * joint] += np.interp(time, *BACK_AND_FORTH)
+        rig.write(targets)
+        rig.read(time)
+        if round(time * 1e3) % 10 == 0:
+            chain.move_to(rig._truth[2, 2 * joint], rig.joint_angles[[0, joint]])
+            pairs.append((rig.anchor_tensions[2 * joint], chain.tensions[-1]))
+    tension, brute_force = np.array(pairs).T
+    assert np.ptp(brute_force) > 4.0
+    assert abs(tension - brute_force).max() < 0.005 * brute_force.max()
 
 
 def test_single_tendons_balance_their_springs_at_the_start():
