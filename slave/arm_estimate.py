@@ -17,7 +17,7 @@ from estimator.kinematics.arm import PreparedArm, prepare_arm
 from estimator.kinematics.forward import write_weight_torque
 from estimator.routing.routing import PreparedRouting, Routing, prepare
 from estimator.routing.sheath_end import SheathPair, estimate_sheath_ends, start_sheath_end
-from estimator.routing.tensions import add_torques, advance, open_tensions
+from estimator.routing.tensions import add_torques, advance, compute_stretches, open_tensions
 from estimator.small_arrays import copy_values
 from estimator.structs import StructArray
 from slave.control.joint_estimate import JointEstimates, compute_weight
@@ -27,11 +27,12 @@ from teleop.config.arm import (
     assemble_bend_partners,
     assemble_tendon_rows,
     find_guides,
+    list_lengths,
 )
 from teleop.messages.messages import MAX_JOINTS
 
 ANGLE_ERROR = 2e-3  # [rad] of estimated joints: noise and the error of elongation
-GUIDE_LENGTH = 0.03  # [m] of tendon from joint to joint
+SPAN_MIN = 1e-6  # [m] of tendon between curved sections
 
 
 class ArmEstimator(NamedTuple):
@@ -51,6 +52,7 @@ class ArmEstimator(NamedTuple):
     sheath_end: Array  # [N] shape (3, tendons)
     torque: Array  # [N m] shape (3, joints)
     new_angles: Array  # [rad] shape (2, joints): the likeliest, and of the interval
+    excess: Array  # [m] of `compute_stretches`, shape (tendons,)
 
 
 def build_arm_estimator(
@@ -61,7 +63,7 @@ def build_arm_estimator(
         return None
     routing = prepare(build_routing(joints, arms))
     rows, n, tendons = len(routing.joint), len(joints), len(routing.first) - 1
-    shapes = ((1,), (3, rows), (2, n), (3, rows), (3, tendons), (3, n), (2, n))
+    shapes = ((1,), (3, rows), (2, n), (3, rows), (3, tendons), (3, n), (2, n), (tendons,))
     ends = np.cumsum([np.prod(shape, dtype=np.int64) for shape in shapes])
     memory = np.zeros(ends[-1])
     views = [
@@ -97,11 +99,13 @@ def build_routing(joints: Sequence[Sequence[int]], arms: Sequence[ArmConfig]) ->
     guides = ["proximal" if other < 0 else "spread" for other in partner]
     frictions = np.where(find_guides(table, partner), friction, 0.0)
     groups = [members for members, _ in rows.groups]
+    length = np.tile(list_lengths(arms, len(joints)), (len(table), 1))
     return Routing(
         table,
         friction=frictions,
         wrap=np.where(frictions > 0.0, wrap, 0.0),
-        span=GUIDE_LENGTH,
+        span=np.where(np.array(partner) < 0, length, 0.0).clip(SPAN_MIN),
+        length=length / 2.0,  # of a section, at either bend
         spring_stiffness=[
             float(list(tendons) in groups and len(tendons) < 2) for tendons in joints
         ],
@@ -112,6 +116,18 @@ def build_routing(joints: Sequence[Sequence[int]], arms: Sequence[ArmConfig]) ->
         friction_error=max(arm.friction_error for arm in arms),
         angle_error=ANGLE_ERROR,
     )
+
+
+@jit_compile
+def add_arm_stretch(arm: ArmEstimator, tendons: EstimatedTendons) -> None:
+    """Add to elongations what friction at guides adds, as of the sample before.
+
+    The model of a tendon in an arm has all of it, with the tension at the sheath's end behind it.
+    """
+    for i in range(len(arm.excess)):
+        estimate = tendons[i].estimate
+        estimate.elongation += arm.excess[i]
+        estimate.distal_displacement -= arm.excess[i]
 
 
 @jit_compile
@@ -174,6 +190,7 @@ def estimate_arm_forces(
         open_tensions(arm.routing, arm.sheath_end, arm.angles[1], arm.tensions)
     advance(arm.routing, arm.tensions, arm.angles, arm.sheath_end, arm.new_angles, arm.reported)
     add_torques(arm.routing, arm.reported, arm.torque)
+    compute_stretches(arm.routing, arm.reported[0], arm.angles[0], arm.excess)
     for k in range(layout.joints):
         for copy in range(3):
             out_force[copy, k] = arm.torque[copy, k] / layout.radius[k]
@@ -235,6 +252,7 @@ def _estimate_pair(
         (b.corrected_tension, b.corrected_displacement),
         of_a / (of_a + of_b) if of_a + of_b > 0.0 else 0.5,
         known_travel,
+        (arm.excess[i], arm.excess[j]),
         elapsed,
     )
     arm.sheath_end[0, i] = min(max(ends[0], arm.sheath_end[1, i]), arm.sheath_end[2, i])

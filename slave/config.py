@@ -20,6 +20,7 @@ from slave.rigs import RigConfig
 from slave.rigs.hardware import HardwareRigConfig
 from slave.rigs.replayed_data import ReplayedRigConfig
 from slave.rigs.simulated import SimulatedRigConfig, TendonPlantConfig
+from slave.sheath_section import SectionConfig
 from slave.tendon_config import TendonConfig
 from teleop.config.arm import ArmConfig
 from teleop.config.ranges import build_bounds_warnings, build_ranged_field, check_ranges
@@ -140,12 +141,10 @@ def _load_configured_tendons(config: SlaveConfig, count: int) -> tuple[TendonCon
         tendons, place = calibration.tendons, f"{config.calibration}: {of}"
         remedy = "give the calibration of this rig, as `teleop calibrate` writes it"
     elif config.calibration == AS_BUILT and isinstance(config.rig, SimulatedRigConfig):
-        pulls = config.rig.list_pretensions()
-        tendons = tuple(
-            to_tendon_config(tendon, pull)
-            for joint, row in zip(config.rig.joints, pulls, strict=True)
-            for tendon, pull in zip(joint.tendons, row, strict=True)
-        )
+        pulls = [pull for row in config.rig.list_pretensions() for pull in row]
+        plants = [tendon for joint in config.rig.joints for tendon in joint.tendons]
+        lengths = config.rig.list_arm_lengths()
+        tendons = tuple(map(to_tendon_config, plants, pulls, lengths))
     if not tendons:
         raise UsageError(f"slave.tendons: {UNCALIBRATED}")
     if len(tendons) == 1:
@@ -238,13 +237,19 @@ def _find_loop_warnings(config: SlaveConfig) -> list[str]:
     return [f"WARNING: slave.tendons: {line}" for line in lines]
 
 
-def to_tendon_config(tendon: TendonPlantConfig, pretension: float) -> TendonConfig:
-    """Return the true parameters of a simulated tendon as a config; `pretension` in N."""
+def to_tendon_config(
+    tendon: TendonPlantConfig, pretension: float, arm_length: float = 0.0
+) -> TendonConfig:
+    """Return the true parameters of a simulated tendon as a config.
+
+    `pretension` [N], `arm_length` [m] of it in an arm, behind its sheath.
+    """
     step, loop = tendon.encoder.compute_resolution(tendon.motor.pulley_radius), tendon.loop
     bend = sum(section.length / section.radius for section in tendon.sheath.sections)
+    in_arm = (SectionConfig(arm_length),) if arm_length > 0.0 else ()
     return TendonConfig(
         friction=tendon.sheath.friction,
-        sections=tendon.sheath.sections,
+        sections=(*tendon.sheath.sections, *in_arm),
         axial_stiffness=tendon.sheath.axial_stiffness,
         pretension=pretension,
         tension_noise=math.hypot(

@@ -13,7 +13,7 @@ from estimator.online.tendon_estimate import INVALID_INPUT
 from estimator.structs import StructArray
 from slave import control
 from slave.adaptation import TendonAdapter, adapt_tendons
-from slave.arm_estimate import ArmEstimator, estimate_arm_forces
+from slave.arm_estimate import ArmEstimator, add_arm_stretch, estimate_arm_forces
 from slave.loop_records import EstimatedSample, SlaveMemory
 from slave.rig import RigSample
 from slave.rig_layout import EstimatedTendon, RigLayout
@@ -112,6 +112,8 @@ def estimate(
                 row.loop_tension[:],
                 row.elapsed,
             )
+        if arm is not None:
+            add_arm_stretch(arm, row.tendons)
         _end_sample(layout, memory, row)
         if arm is not None and memory.has_offsets:
             control.estimate_joints(

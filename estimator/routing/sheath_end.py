@@ -54,6 +54,7 @@ class SheathEnd(Struct):
     held_tension: F64  # [N] T_in behind its dead band
     offset: F64  # [m] of the tip's travel by this tendon
     stretch: F64  # [m] travel of the tip away from the motor that the profile lacks
+    excess: F64  # [m] what the tendon stretches more than at one tension behind the sheath
 
 
 class SheathPair(Struct):
@@ -74,6 +75,7 @@ def estimate_sheath_ends(
     reading_b: tuple[float, float],
     share: float,
     known_travel: float,
+    excess: tuple[float, float],
     dt: float,
 ) -> tuple[float, float]:
     """Take the next sample of a pair, and return T_out [N] of both tendons.
@@ -90,20 +92,25 @@ def estimate_sheath_ends(
         0 to 1: how much the first tendon decides of the travel of the tips.
     known_travel : float
         [m] of the tips as it is known otherwise, right in the long run.
+    excess : tuple of float
+        [m] what each tendon stretches more behind the sheath than at the tension there.
     dt : float
         Time since the previous sample [s].
     """
     a, b = pair.end[0], pair.end[1]
-    travel_a = reading_a[1] - _push_housing(prepared_a, a, reading_a[0])
-    travel_b = _push_housing(prepared_b, b, reading_b[0]) - reading_b[1]
+    travel_a = reading_a[1] - _push_housing(prepared_a, a, reading_a[0]) - excess[0]
+    travel_b = _push_housing(prepared_b, b, reading_b[0]) - reading_b[1] + excess[1]
     if not pair.started:
         pair.started, pair.mean_travel, pair.travel = True, known_travel, known_travel
         a.offset, b.offset = travel_a - known_travel, travel_b - known_travel
+        a.excess, b.excess = excess
     drift = dt / DRIFT_TIME_S * (pair.mean_travel - known_travel)
     a.offset, b.offset = a.offset + drift, b.offset + drift
     noise = max(_compute_travel_noise(prepared_a), _compute_travel_noise(prepared_b))
     travel = _update_travel(pair, travel_a - a.offset, travel_b - b.offset, share, noise, dt)
-    return _stretch_tip(prepared_a, a, -travel), _stretch_tip(prepared_b, b, travel)
+    stretch_a, stretch_b = -travel - (excess[0] - a.excess), travel - (excess[1] - b.excess)
+    a.excess, b.excess = excess
+    return _stretch_tip(prepared_a, a, stretch_a), _stretch_tip(prepared_b, b, stretch_b)
 
 
 @jit_compile

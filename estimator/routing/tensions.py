@@ -434,6 +434,25 @@ def _open_cone(
 
 
 @jit_compile
+def compute_stretches(
+    prepared: PreparedRouting, tensions: Array, angles: Array, out_stretch: Array
+) -> None:
+    """Write how much more tendons stretch behind their sheaths than at the tension there [m].
+
+    `tensions` [N] are those of all rows, `angles` [rad] those of the joints.
+    """
+    for tendon in range(len(prepared.first) - 1):
+        begin, end = prepared.first[tendon], prepared.first[tendon + 1]
+        out_stretch[tendon] = 0.0
+        for e in range(begin + 1, end):
+            compliance = prepared.compliance[e]
+            compliance += prepared.contact[e, 0] * _compute_bend(prepared, angles, e)
+            if e + 1 < end:
+                compliance += prepared.contact[e, 1] * _compute_bend(prepared, angles, e + 1)
+            out_stretch[tendon] += compliance * (tensions[e] - tensions[begin])
+
+
+@jit_compile
 def add_torques(prepared: PreparedRouting, reported: Array, torques: Array) -> None:
     """Write joint torques [N m] of tensions and the ends of their intervals to `torques`.
 

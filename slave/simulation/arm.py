@@ -59,8 +59,8 @@ from teleop.config.arm import (
     assemble_bend_partners,
     assemble_tendon_rows,
     find_guides,
+    list_lengths,
 )
-from teleop.config.ranges import build_ranged_field
 
 STOP_STIFFNESS = 1e6  # [N/m] of end stops and of stuck joints, soft enough to be solved
 FORCE_TOLERANCE = 1e-9  # [N] of balance
@@ -73,8 +73,6 @@ SECTION_GUIDES = 2  # along a curved section
 class ArmPlantConfig(LinkedArmConfig):
     """An arm as it is: tendons that pass joints, their friction there, and what the tip meets."""
 
-    # of tendon from the pin of each joint to the next, or to its anchor
-    span: float = build_ranged_field(0.03, 1e-3, 1.0, "m")
     contacts: tuple[SurfaceConfig, ...] = ()  # of the tip, in the base
 
     def __post_init__(self) -> None:
@@ -113,13 +111,11 @@ def build_arm(
     `axial_stiffness` [N] is that of each tendon.
     """
     rows, n = assemble_tendon_rows(configs, joints), len(joints)
-    friction, wrap, length = np.zeros(n), np.zeros(n), np.full(n, 1e-3)
+    friction, wrap, length = np.zeros(n), np.zeros(n), list_lengths(configs, n)
     first = 0
     for config in configs:
         part = slice(first, first + config.joints)
-        friction[part], wrap[part], length[part] = config.list_friction(), config.wrap, config.span
-        for i, section in enumerate(config.sections):
-            length[first + 2 * i : first + 2 * i + 2] = section.length
+        friction[part], wrap[part] = config.list_friction(), config.wrap
         first = part.stop
     contacts = build_space_contacts([(config, config.contacts) for config in configs])
     partner = assemble_bend_partners(configs, n)
@@ -129,23 +125,25 @@ def build_arm(
     shortening, compliance = np.zeros((n, 2, room, n)), np.zeros((n, 2, room))
     guide, mu = np.zeros((n, 2, room), dtype=np.int64), np.zeros((n, 2, room))
     for k, side, tendon in [(k, s, t) for k, row in enumerate(joints) for s, t in enumerate(row)]:
-        ratio[k, side] = rows.travel[tendon]
+        ratio[k, side], stiffness = rows.travel[tendon], axial_stiffness[tendon]
         last = 0
         for j in np.flatnonzero(ratio[k, side]):
             bends = [j] if partner[j] < 0 else [j, partner[j]]
             turned = np.where(np.isin(np.arange(n), bends), ratio[k, side], 0.0)
             if partner[j] >= 0 and partner[j] < j and ratio[k, side, partner[j]] != 0.0:
                 continue  # a section counts once
+            on_pin = wrap[j] * rows.radius[j] * abs(ratio[k, side, j])
             count = (1 if partner[j] < 0 else SECTION_GUIDES) if rubs[tendon, j] else 0
             new, ends = slice(last + 1, last + 1 + count), slice(last, last + 1 + count)
             guide[k, side, new], mu[k, side, new] = j, friction[j] / max(count, 1)
-            share = np.full(count + 1, 1.0 / max(count, 1))
-            if partner[j] >= 0:
-                share[[0, -1]] /= 2.0 if count else 1.0
-            else:
-                share[: min(count, 1)] = 0.0  # the pin is on the link before the joint
+            share = np.ones(1)
+            if count > 1:
+                share = np.array([0.5, *[1.0] * (count - 1), 0.5]) / count
+            elif count == 1:  # the pin is on the link before the joint
+                share = np.array([0.0, 1.0])
+                compliance[k, side, ends] += 0.5 * on_pin / stiffness
             shortening[k, side, ends] += np.outer(share, turned)
-            compliance[k, side, ends] += share * length[j] / axial_stiffness[tendon]
+            compliance[k, side, ends] += share * length[j] / stiffness
             last += count
         stretches[k, side] = last + 1
     most = stretches.max()
@@ -223,7 +221,7 @@ def meet_curve(curve: Curve, place: float, tension: float, ray: float) -> float:
         drawn, slope = evaluate_curve(curve, place + ray * (T - tension))
         if abs(T - drawn) <= MEETING_TOLERANCE * T:
             break
-        least, most = (T, most) if T < drawn else (least, T)
+        least, most = (T, most) if drawn > T else (least, T)
         T -= (T - drawn) / (1.0 - ray * slope)
         if not least < T < most:
             T = 0.5 * (least + most)
@@ -311,9 +309,7 @@ def pull_through_arm(
         if e > 0 and gain[e] == 0.0:
             place = stay[e]
         out_place[e] = place
-    compute_tension_slopes(
-        shortening, c, gain[:count], evaluate_curve(curve, place)[1], out_slope
-    )
+    compute_tension_slopes(shortening, c, gain[:count], evaluate_curve(curve, place)[1], out_slope)
 
 
 @jit_compile
@@ -465,8 +461,8 @@ def solve_arm(
         while True:  # a shorter step where the whole one is worse
             trial = travel - share * move
             compute_residual(
-                arm, joints, states, curves, before, grips, after, motion, depth, depth_slope, trial, dt,
-                trial_residual, trial_slope,
+                arm, joints, states, curves, before, grips, after, motion, depth, depth_slope,
+                trial, dt, trial_residual, trial_slope,
             )  # fmt: skip
             if np.abs(trial_residual).max() < excess or share < 1e-3:
                 break
@@ -533,9 +529,7 @@ def advance_arm(
 
 
 @jit_compile
-def compute_arm_truth(
-    arm_state: ArmState, joints: list[Joint], states: list[JointState]
-) -> Array:
+def compute_arm_truth(arm_state: ArmState, joints: list[Joint], states: list[JointState]) -> Array:
     """Return the true values of the sensors, shape (4, joints, 2); see `advance_arm`."""
     channels = np.zeros((len(CHANNELS), len(joints), 2))
     for k in range(len(joints)):

@@ -62,6 +62,8 @@ class RoutingConfig:
     friction: float | tuple[float, ...] = 0.1
     # of a tendon at each of them while the joint is straight
     wrap: float = build_ranged_field(0.0, 0.0, 6.3, "rad")
+    # of tendon from the guide at each joint to the next, or to its anchor; not in curved sections
+    span: float = build_ranged_field(0.03, 1e-3, 1.0, "m")
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -208,6 +210,18 @@ def find_space_joints(arms: Sequence[LinkedArmConfig]) -> tuple[tuple[int, int],
             found.append((first, len(arm.load_kinematics().coordinates)))
         first += arm.joints
     return tuple(found)
+
+
+def list_lengths(arms: Sequence[LinkedArmConfig], joints: int) -> Array:
+    """Return the length [m] of tendon in an arm at each of a rig's `joints`; 0 for joints of none.
+
+    The length at either bend of a curved section is that of the section.
+    """
+    lengths = []
+    for arm in arms:
+        bends = [section.length for section in arm.sections for _ in range(2)]
+        lengths += (bends + [arm.span] * arm.joints)[: arm.joints]
+    return np.array(lengths + [0.0] * (joints - len(lengths)))
 
 
 def assemble_bend_partners(arms: Sequence[LinkedArmConfig], joints: int) -> list[int]:

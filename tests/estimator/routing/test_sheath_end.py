@@ -49,7 +49,7 @@ def play_pair(stiffness_error):
         for chain, T, tip in zip(chains, tensions, (x, -x), strict=True):
             chain.move(Force(T), Position(tip))
         readings = [(T, chain.travel[0]) for T, chain in zip(tensions, chains, strict=True)]
-        ends = estimate_sheath_ends(pair, model, model, *readings, 0.02, x, DT)
+        ends = estimate_sheath_ends(pair, model, model, *readings, 0.02, x, (0.0, 0.0), DT)
         for profile, T in zip(alone, tensions, strict=True):
             push_proximal(TABLES, profile, T)
         rows.append([[c.T_out for c in chains], ends, [read_profile(TABLES, p)[1] for p in alone]])
@@ -83,7 +83,7 @@ def test_tips_that_stick_keep_their_tension_while_the_motors_sway():
             chain.move(Force(T), Position(0.0))
         tensions = [chain.T_in + noise * random.standard_normal() for chain in chains]
         readings = [(T, chain.travel[0]) for T, chain in zip(tensions, chains, strict=True)]
-        ends.append(estimate_sheath_ends(pair, model, model, *readings, 0.5, 0.0, DT))
+        ends.append(estimate_sheath_ends(pair, model, model, *readings, 0.5, 0.0, (0.0, 0.0), DT))
         assert [chain.T_out for chain in chains] == pytest.approx([PRETENSION] * 2, abs=1e-6)
     assert np.ptp(ends[100:], axis=0).max() < 0.05  # [N]
 
@@ -117,7 +117,7 @@ def test_the_travel_of_tips_that_move_is_known_to_a_few_micrometres(is_slack, er
         ]
         readings[1] = (readings[1][0], readings[1][1] - slack)
         share = 1.0 if pulls[1] < 0.05 else 0.02
-        estimate_sheath_ends(pair, model, model, *readings, share, x, DT)
+        estimate_sheath_ends(pair, model, model, *readings, share, x, (0.0, 0.0), DT)
         errors.append(pair.travel - x)
     change = np.array(errors[100:]) - np.mean(errors[100:])
     assert np.quantile(np.abs(change), 0.9) < error_max  # [m]
