@@ -411,7 +411,8 @@ class SimulatedRig:
     @property
     def joint_forces(self) -> Array:
         """True force of all tendons on each joint of arms [N], shape (joints,)."""
-        return np.einsum("ksej,kse->j", self._get_arm().shortening, self._arm_state.tension)
+        arm, state = self._get_arm(), self._arm_state
+        return np.asarray(np.einsum("ksej,kse->j", arm.shortening, state.tension))
 
     def _get_arm(self) -> Arm:
         if self._arm is None:

@@ -128,7 +128,7 @@ def build_arm(
         ratio[k, side], stiffness = rows.travel[tendon], axial_stiffness[tendon]
         last = 0
         for j in np.flatnonzero(ratio[k, side]):
-            bends = [j] if partner[j] < 0 else [j, partner[j]]
+            bends = np.array([j, partner[j] if partner[j] >= 0 else j])
             turned = np.where(np.isin(np.arange(n), bends), ratio[k, side], 0.0)
             if partner[j] >= 0 and partner[j] < j and ratio[k, side, partner[j]] != 0.0:
                 continue  # a section counts once
@@ -188,7 +188,8 @@ def compute_grips(arm: Arm, travel: Array) -> Array:
     grips = np.ones(arm.friction.shape)
     for k, side, e in np.ndindex(grips.shape):
         j = arm.guide[k, side, e]
-        bend = abs(arm.wrap[j] - np.sign(arm.ratio[k, side, j]) * travel[j] / arm.radius[j])
+        sign = np.sign(arm.ratio[k, side, j])
+        bend = math.fabs(arm.wrap[j] - sign * travel[j] / arm.radius[j])
         if arm.partner[j] >= 0:
             bend = math.hypot(bend, travel[arm.partner[j]] / arm.radius[arm.partner[j]])
         bead = 0.25 * arm.friction[k, side, e] * bend
