@@ -16,12 +16,23 @@ from estimator.compiled import jit_compile
 from estimator.kinematics.arm import PreparedArm, prepare_arm
 from estimator.kinematics.forward import write_weight_torque
 from estimator.routing.routing import PreparedRouting, Routing, prepare
-from estimator.routing.sheath_end import SheathPair, estimate_sheath_ends, start_sheath_end
-from estimator.routing.tensions import add_torques, advance, compute_stretches, open_tensions
+from estimator.routing.sheath_end import (
+    SheathPair,
+    drive_sheath_end,
+    start_sheath_end,
+    update_pair_travel,
+)
+from estimator.routing.tensions import (
+    add_torques,
+    advance,
+    begin_advance,
+    compute_excess,
+    open_tensions,
+)
 from estimator.small_arrays import copy_values
 from estimator.structs import StructArray
-from slave.control.joint_estimate import JointEstimates, compute_weight
-from slave.rig_layout import EstimatedTendons, RigLayout, TendonGroup
+from slave.control.joint_estimate import SLACK_TENSION, TAUT_TENSION, JointEstimates, compute_weight
+from slave.rig_layout import EstimatedTendon, EstimatedTendons, RigLayout, TendonGroup
 from teleop.config.arm import (
     ArmConfig,
     assemble_bend_partners,
@@ -52,7 +63,7 @@ class ArmEstimator(NamedTuple):
     sheath_end: Array  # [N] shape (3, tendons)
     torque: Array  # [N m] shape (3, joints)
     new_angles: Array  # [rad] shape (2, joints): the likeliest, and of the interval
-    excess: Array  # [m] of `compute_stretches`, shape (tendons,)
+    excess: Array  # [m] of `compute_excess`, shape (tendons,)
 
 
 def build_arm_estimator(
@@ -176,7 +187,7 @@ def estimate_arm_forces(
         known, i = 0.0, layout.group[g].tendon[0]
         for j in range(layout.joints):
             known += layout.travel[i, j] * joint_estimates[j].position
-        _estimate_pair(arm, layout.group[g], g, prepared, estimators, tendons, known, elapsed)
+        _update_pair(arm, layout.group[g], g, prepared, estimators, tendons, known, elapsed)
         is_paired = is_paired and arm.pairs[g].started
     for k in range(layout.joints if is_paired else 0):
         arm.new_angles[0, k] = 0.0
@@ -188,9 +199,20 @@ def estimate_arm_forces(
         arm.started[0] = 1.0
         copy_values(arm.new_angles.ravel(), arm.angles.ravel())
         open_tensions(arm.routing, arm.sheath_end, arm.angles[1], arm.tensions)
-    advance(arm.routing, arm.tensions, arm.angles, arm.sheath_end, arm.new_angles, arm.reported)
+    elements = begin_advance(arm.routing, arm.tensions, arm.angles, arm.new_angles)
+    for g in range(layout.groups):
+        for m in range(2 if arm.pairs[g].started else 0):
+            i = layout.group[g].tendon[m]
+            T = drive_sheath_end(
+                prepared[i], arm.pairs[g].end[m], arm.routing, elements, i, arm.tensions[0]
+            )
+            arm.sheath_end[0, i] = min(max(T, arm.sheath_end[1, i]), arm.sheath_end[2, i])
+    advance(
+        arm.routing, elements, arm.tensions, arm.angles, arm.sheath_end, arm.new_angles,
+        arm.reported,
+    )  # fmt: skip
     add_torques(arm.routing, arm.reported, arm.torque)
-    compute_stretches(arm.routing, arm.reported[0], arm.angles[0], arm.excess)
+    compute_excess(arm.routing, elements, arm.tensions[0], arm.excess)
     for k in range(layout.joints):
         for copy in range(3):
             out_force[copy, k] = arm.torque[copy, k] / layout.radius[k]
@@ -213,7 +235,14 @@ def _add_weight(arm: ArmEstimator, layout: RigLayout, force: Array) -> None:
 
 
 @jit_compile
-def _estimate_pair(
+def _compute_tip_weight(tendon: EstimatedTendon) -> float:
+    """Return the weight [1/m^2] of a tendon's travel; less where it is nearly slack at its tip."""
+    tip = (tendon.estimate.distal_tension - SLACK_TENSION) / (TAUT_TENSION - SLACK_TENSION)
+    return compute_weight(tendon) * min(max(tip, 0.0), 1.0)
+
+
+@jit_compile
+def _update_pair(
     arm: ArmEstimator,
     group: TendonGroup,
     g: int,
@@ -223,7 +252,7 @@ def _estimate_pair(
     known_travel: float,
     elapsed: float,
 ) -> None:
-    """Take the likeliest tensions at the sheaths' ends of a pair from both of its tendons.
+    """Take the likeliest travel of a pair from both of its tendons.
 
     `known_travel` [m] is that of its tips by the joints' positions.
     Other than two tendons, without encoders or with dynamic effects keep those of each by itself.
@@ -243,17 +272,14 @@ def _estimate_pair(
     if not pair.started:
         start_sheath_end(pair.end[0], estimators[i].profile[:], a.corrected_tension)
         start_sheath_end(pair.end[1], estimators[j].profile[:], b.corrected_tension)
-    of_a, of_b = compute_weight(a), compute_weight(b)
-    ends = estimate_sheath_ends(
+    of_a, of_b = _compute_tip_weight(a), _compute_tip_weight(b)
+    update_pair_travel(
         pair,
         prepared[i],
         prepared[j],
-        (a.corrected_tension, a.corrected_displacement),
-        (b.corrected_tension, b.corrected_displacement),
+        (a.corrected_tension, a.corrected_displacement - arm.excess[i]),
+        (b.corrected_tension, b.corrected_displacement - arm.excess[j]),
         of_a / (of_a + of_b) if of_a + of_b > 0.0 else 0.5,
         known_travel,
-        (arm.excess[i], arm.excess[j]),
         elapsed,
     )
-    arm.sheath_end[0, i] = min(max(ends[0], arm.sheath_end[1, i]), arm.sheath_end[2, i])
-    arm.sheath_end[0, j] = min(max(ends[1], arm.sheath_end[1, j]), arm.sheath_end[2, j])

@@ -22,7 +22,7 @@ from estimator.effects.effect import DISTAL_DISPLACEMENT, DISTAL_TENSION, PROXIM
 from estimator.law.sheath import Sheath
 from estimator.noise_treatment import apply_play
 from estimator.routing.routing import PreparedRouting, Routing, prepare
-from estimator.routing.tensions import advance, open_tensions
+from estimator.routing.tensions import advance, begin_advance, open_tensions
 from estimator.signals.driving_signal import estimate_travel_drive
 from estimator.signals.noise import estimate_white_noise
 
@@ -357,7 +357,8 @@ def trace_tendon(
         if is_bounded:
             sheath_end[1:, 0] = tension[i]
         new_angles[0], new_angles[1] = angles[i], angles[i]
-        advance(prepared, tensions, state, sheath_end, new_angles, reported)
+        elements = begin_advance(prepared, tensions, state, new_angles)
+        advance(prepared, elements, tensions, state, sheath_end, new_angles, reported)
         out[i, 0], out[i, 1] = tensions[0, sheath_rows - 1], tensions[0, rows - 1]
         stretch = prepared.compliance * tensions[0]
         out[i, 2], out[i, 3] = stretch[:sheath_rows].sum(), stretch[sheath_rows:].sum()

@@ -7,7 +7,10 @@ tension (T18) for which its elongation e changes as the tip travels, beside T_in
 
     de_a = -dx, de_b = dx,   T_in e^-K <= T_out <= T_in e^(rho K)
 
-At either limit all of the tendon slides along, and e follows from T_in again.
+In an arm dx differs from the travel of the joints, since with friction at guides the tendon behind
+its sheath stretches otherwise than at one tension (`tensions.compute_excess_slip`). As that depends
+on T_out, both are met at once. At either limit all of the tendon slides along, and e follows from
+T_in again.
 """
 
 import math
@@ -21,21 +24,23 @@ from estimator.law import tables as _tables
 from estimator.law.play_profile import (
     PROFILE_SIZE,
     TIP,
-    Profile,
     count_points,
     drive_end,
+    from_log_tension,
     get_point,
     integrate_tension,
     push_proximal,
     to_log_tension,
 )
-from estimator.law.tables import Tables, compute_arc_length, compute_length_density
+from estimator.law.tables import compute_arc_length, compute_length_density
 from estimator.law.transmission import read_profile
 from estimator.online.estimator_state import PreparedTendon
+from estimator.routing.routing import PreparedRouting
+from estimator.routing.tensions import Elements, compute_excess_slip
 from estimator.small_arrays import copy_values
 from estimator.structs import F64, Field, Flag, Struct
 
-NOISE_SIGMAS = 2.0  # dead bands of T_in and of the travel
+NOISE_SIGMAS, TRAVEL_SIGMAS = 2.0, 1.5  # dead bands of T_in and of the travel
 TRAVEL_TIME_S = 0.005  # time constant of the travel of the tips, within its noise
 OFFSET_TIME_S = 0.05  # within which the less certain tendon's travel follows the other's
 DRIFT_TIME_S = 5.0  # within which both follow the travel that others know
@@ -54,7 +59,6 @@ class SheathEnd(Struct):
     held_tension: F64  # [N] T_in behind its dead band
     offset: F64  # [m] of the tip's travel by this tendon
     stretch: F64  # [m] travel of the tip away from the motor that the profile lacks
-    excess: F64  # [m] what the tendon stretches more than at one tension behind the sheath
 
 
 class SheathPair(Struct):
@@ -67,7 +71,7 @@ class SheathPair(Struct):
 
 
 @jit_compile
-def estimate_sheath_ends(
+def update_pair_travel(
     pair: SheathPair,
     prepared_a: PreparedTendon,
     prepared_b: PreparedTendon,
@@ -75,10 +79,9 @@ def estimate_sheath_ends(
     reading_b: tuple[float, float],
     share: float,
     known_travel: float,
-    excess: tuple[float, float],
     dt: float,
-) -> tuple[float, float]:
-    """Take the next sample of a pair, and return T_out [N] of both tendons.
+) -> None:
+    """Take the next sample of a pair: update the travel of its joints, `pair.travel`.
 
     Parameters
     ----------
@@ -87,30 +90,24 @@ def estimate_sheath_ends(
     prepared_a, prepared_b : PreparedTendon
         Without dynamic effects.
     reading_a, reading_b : tuple of float
-        T_in [N] and q_p [m], both finite.
+        T_in [N], and q_p less the excess of stretch behind the sheath [m], both finite.
     share : float
         0 to 1: how much the first tendon decides of the travel of the tips.
     known_travel : float
         [m] of the tips as it is known otherwise, right in the long run.
-    excess : tuple of float
-        [m] what each tendon stretches more behind the sheath than at the tension there.
     dt : float
         Time since the previous sample [s].
     """
     a, b = pair.end[0], pair.end[1]
-    travel_a = reading_a[1] - _push_housing(prepared_a, a, reading_a[0]) - excess[0]
-    travel_b = _push_housing(prepared_b, b, reading_b[0]) - reading_b[1] + excess[1]
+    travel_a = reading_a[1] - _push_housing(prepared_a, a, reading_a[0])
+    travel_b = _push_housing(prepared_b, b, reading_b[0]) - reading_b[1]
     if not pair.started:
         pair.started, pair.mean_travel, pair.travel = True, known_travel, known_travel
         a.offset, b.offset = travel_a - known_travel, travel_b - known_travel
-        a.excess, b.excess = excess
     drift = dt / DRIFT_TIME_S * (pair.mean_travel - known_travel)
     a.offset, b.offset = a.offset + drift, b.offset + drift
     noise = max(_compute_travel_noise(prepared_a), _compute_travel_noise(prepared_b))
-    travel = _update_travel(pair, travel_a - a.offset, travel_b - b.offset, share, noise, dt)
-    stretch_a, stretch_b = -travel - (excess[0] - a.excess), travel - (excess[1] - b.excess)
-    a.excess, b.excess = excess
-    return _stretch_tip(prepared_a, a, stretch_a), _stretch_tip(prepared_b, b, stretch_b)
+    _update_travel(pair, travel_a - a.offset, travel_b - b.offset, share, noise, dt)
 
 
 @jit_compile
@@ -141,14 +138,13 @@ def _compute_travel_noise(prepared: PreparedTendon) -> float:
 @jit_compile
 def _update_travel(
     pair: SheathPair, travel_a: float, travel_b: float, share: float, noise: float, dt: float
-) -> float:
-    """Take the travel of both tips by either tendon [m]; return how far they moved [m].
+) -> None:
+    """Take the travel of both tips by either tendon [m].
 
     An error of stiffness must not move the tips where the share changes, so each tendon follows the
     other, as far as it decides less, and at once if it decides nothing: a slack one measures no
-    tip. The average lags behind tips that move by no more than the noise. The dead band is as wide
-    as what that of T_in leaves open of the elongation: tips that stick do not move while the motors
-    sway.
+    tip. The average lags behind tips that move by no more than the noise. With its dead band, tips
+    that stick do not move while the motors sway; a wider one hides reversals.
     """
     a, b = pair.end[0], pair.end[1]
     fused = share * travel_a + (1.0 - share) * travel_b
@@ -157,55 +153,66 @@ def _update_travel(
     b.offset += (leak * share if share < 1.0 else 1.0) * (travel_b - fused)
     mean = pair.mean_travel + weight * (fused - pair.mean_travel)
     pair.mean_travel = noise_treatment.update_play(mean, fused, noise)
-    before = pair.travel
-    pair.travel = noise_treatment.update_play(before, pair.mean_travel, NOISE_SIGMAS * noise)
-    return pair.travel - before
+    pair.travel = noise_treatment.update_play(pair.travel, pair.mean_travel, TRAVEL_SIGMAS * noise)
 
 
 @jit_compile
-def _stretch_tip(prepared: PreparedTendon, end: SheathEnd, stretch: float) -> float:
-    """Let the tip of a tendon travel by `stretch` [m] from the motor; return T_out [N]."""
-    tables, profile = prepared.tables[:], end.profile[:]
-    end.stretch += stretch
-    if end.stretch * stretch > 0.0:  # else it went too far before
-        end.stretch = drive_tip(tables, profile, end.held_tension, end.stretch)
-    return read_profile(tables, profile)[1]
+def drive_sheath_end(
+    prepared: PreparedTendon,
+    end: SheathEnd,
+    routing: PreparedRouting,
+    elements: Elements,
+    tendon: int,
+    tensions: Array,
+) -> float:
+    """Let the end of a sheath travel with the arm's joints; return T_out [N].
 
-
-@jit_compile
-def drive_tip(tables: Tables, profile: Profile, tension: float, stretch: float) -> float:
-    """Stretch a tendon at its tip by `stretch` [m], in place; return what is left to be stretched.
-
-    T_in is `tension` [N]. What slides grows with the change, e = g (l u + w u^2 / (2 (1 + rho)))
-    until it meets what slid before; hence steps short of it, and one up to where it meets what slid
-    the same way before the last reversal.
+    `elements` are of `begin_advance`, `tensions` [N] those of all rows before this step. What
+    slides in the sheath grows with the change, e = g (l u + w u^2 / (2 (1 + rho))), until it meets
+    what slid before; hence steps short of it, and one up to where it meets what slid the same way
+    before the last reversal.
     """
-    K, rho, u_in = tables[_K], tables[_ASYMMETRY], to_log_tension(tables, tension)
-    near = K * _NEAR_TIP
+    tables, profile = prepared.tables[:], end.profile[:]
+    K, rho, EA = tables[_K], tables[_ASYMMETRY], tables[_EA]
+    T = read_profile(tables, profile)[1]
+    slip, slope = compute_excess_slip(routing, tendon, tensions, elements, T)
+    left = wanted = end.stretch - slip
+    if wanted * slip >= 0.0:  # it went too far before
+        end.stretch = wanted
+        return T
+    u_in, near = to_log_tension(tables, end.held_tension), K * _NEAR_TIP
     growth = 0.5 * compute_length_density(tables, near) / (1.0 + rho)
-    limit = u_in + rho * K if stretch > 0.0 else u_in - K
-    left = stretch
+    limit = u_in + rho * K if wanted > 0.0 else u_in - K
     for _ in range(_STEPS):
         last = count_points(profile) - 1
         u = get_point(profile, last)[1]
-        s, _, slope = get_point(profile, last - 1)
-        slides = slope > 0.0 if stretch > 0.0 else slope < 0.0
-        length = tables[_LENGTH] - compute_arc_length(tables, s if slides else near)
-        wanted = _STEP_SHARE * abs(left) * tables[_EA] * math.exp(-u)
-        divisor = length + math.sqrt(length * length + 4.0 * growth * wanted)
-        change = 2.0 * wanted / divisor if divisor > 0.0 else math.inf
+        s, _, rise = get_point(profile, last - 1)
+        slides = rise > 0.0 if wanted > 0.0 else rise < 0.0
+        length = tables[_LENGTH] - compute_arc_length(tables, s if slides else near) + EA * slope
+        share = _STEP_SHARE * abs(left) * EA * math.exp(-u)
+        divisor = length + math.sqrt(length * length + 4.0 * growth * share)
+        change = 2.0 * share / divisor if divisor > 0.0 else math.inf
         if change >= abs(limit - u):
             drive_end(tables, profile, limit, TIP)
-            return 0.0
+            left = 0.0
+            break
         reversal = last - 2 if slides else last - 1
         if reversal > 0:
             s, corner, _ = get_point(profile, reversal)
             met = corner + get_point(profile, reversal - 1)[2] * (K - s)
-            if (met - u) * stretch > 0.0:
+            if (met - u) * wanted > 0.0:
                 change = min(change, abs(met - u) + _MEETING_MARGIN)
-        before = integrate_tension(tables, profile)
-        drive_end(tables, profile, u + math.copysign(change, stretch), TIP)
-        left -= (integrate_tension(tables, profile) - before) / tables[_EA]
-        if left * stretch <= _STRETCH_TOLERANCE * stretch * stretch:
+        before, slip_before = integrate_tension(tables, profile), slip
+        while True:  # guides that begin to slide let it stretch further
+            y = u + math.copysign(change, wanted)
+            T = from_log_tension(tables, y)
+            slip, slope = compute_excess_slip(routing, tendon, tensions, elements, T)
+            if abs(slip - slip_before) <= abs(left):
+                break
+            change *= _STEP_SHARE
+        drive_end(tables, profile, y, TIP)
+        left -= (integrate_tension(tables, profile) - before) / EA + slip - slip_before
+        if left * wanted <= _STRETCH_TOLERANCE * wanted * wanted:
             break
-    return left
+    end.stretch = left
+    return read_profile(tables, profile)[1]

@@ -100,7 +100,9 @@ def step(
     reported = np.empty_like(state.tensions)
     band = prepared.angle_error
     held = np.clip(driven.angles[0], theta - band, theta + band)
-    advance(prepared, driven.tensions, driven.angles, T, np.array([held, theta]), reported)
+    new_angles = np.array([held, theta])
+    elements = begin_advance(prepared, driven.tensions, driven.angles, new_angles)
+    advance(prepared, elements, driven.tensions, driven.angles, T, new_angles, reported)
     torques = np.empty((3, len(theta)))
     add_torques(prepared, reported, torques)
     rows = np.where(prepared.behind < 0, 0, prepared.behind)
@@ -154,7 +156,7 @@ def _read_angles(prepared: PreparedRouting, angles: ArrayLike) -> Array:
     return theta
 
 
-class _Elements(NamedTuple):
+class Elements(NamedTuple):
     """What one step needs of all rows, for one of the three copies at a time."""
 
     shortening: Array  # [m] of the stretch behind the element in this step
@@ -172,8 +174,56 @@ class _Elements(NamedTuple):
 
 
 @jit_compile
+def begin_advance(
+    prepared: PreparedRouting, tensions: Array, angles: Array, new_angles: Array
+) -> Elements:
+    """Turn the joints of the likeliest copy, before `advance`; `angles` become the new ones."""
+    rows, held = len(prepared.joint), np.empty(angles.shape[1])
+    elements = Elements(
+        np.zeros(rows), prepared.compliance.copy(), np.zeros(rows), np.zeros(rows),
+        np.ones(rows), np.zeros(rows, dtype=np.bool_), np.ones((2, rows)), np.ones((2, rows)),
+        np.zeros(rows), np.zeros(rows), np.zeros((2, rows)), np.zeros(rows),
+    )  # fmt: skip
+    _hold_angles(angles[1], new_angles[1], prepared.angle_error, held)
+    _turn_joints(prepared, angles[0], held if prepared.spread.any() else new_angles[0], elements)
+    _set_limits(prepared, elements, 0)
+    for tendon in range(len(prepared.first) - 1):
+        begin, end = prepared.first[tendon], prepared.first[tendon + 1]
+        _find_stuck_tensions(begin, end, tensions[0], elements)
+    return elements
+
+
+@jit_compile
+def compute_excess_slip(
+    prepared: PreparedRouting, tendon: int, before: Array, elements: Elements, tension: float
+) -> tuple[float, float]:
+    """Return the travel [m] of a sheath's end towards the motor, and its slope [m/N].
+
+    It is more by this than that of a tendon with one tension all along behind the sheath, whose
+    joints rest. `tension` [N] is that of the end after this step, `before` has those of all rows
+    before it.
+    """
+    begin, end = prepared.first[tendon], prepared.first[tendon + 1]
+    change, slips = tension - before[begin], True
+    slip, slope, gain = 0.0, 0.0, 1.0
+    for e in range(begin, end):
+        if slips and e > begin:
+            tension, factor = _limit(e, tension, e == begin + 1, elements, 0)
+            gain *= factor
+            slips = factor != 0.0
+        c = elements.compliance[e]
+        slip -= c * change
+        slope -= c
+        if slips:
+            slip += elements.shortening[e] + c * (tension - before[e])
+            slope += c * gain
+    return slip, slope
+
+
+@jit_compile
 def advance(
     prepared: PreparedRouting,
+    elements: Elements,
     tensions: Array,
     angles: Array,
     sheath_end: Array,
@@ -184,6 +234,8 @@ def advance(
 
     Parameters
     ----------
+    elements : Elements
+        Of `begin_advance` with the same state and angles.
     tensions, angles : array
         The state: shapes (3, rows) and (2, joints).
     sheath_end : array, shape (3, tendons)
@@ -195,16 +247,8 @@ def advance(
         [N] likeliest, least and largest.
     """
     rows, held = len(prepared.joint), np.empty(angles.shape[1])
-    elements = _Elements(
-        np.zeros(rows), prepared.compliance.copy(), np.zeros(rows), np.zeros(rows),
-        np.ones(rows), np.zeros(rows, dtype=np.bool_), np.ones((2, rows)), np.ones((2, rows)),
-        np.zeros(rows), np.zeros(rows), np.zeros((2, rows)), np.zeros(rows),
-    )  # fmt: skip
     _hold_angles(angles[1], new_angles[1], prepared.angle_error, held)
-    is_curved = prepared.spread.any()
-    _turn_joints(prepared, angles[0], held if is_curved else new_angles[0], elements)
     before = tensions[0].copy()
-    _set_limits(prepared, elements, 0)
     _drive_sheath_ends(prepared, angles[0], elements, 0, sheath_end, tensions, reported)
     if _find_turning_slip(prepared, before, tensions[0], elements):
         copy_values(before, tensions[0])
@@ -244,7 +288,7 @@ def open_tensions(
 
 @jit_compile
 def _turn_joints(
-    prepared: PreparedRouting, angles: Array, new_angles: Array, elements: _Elements
+    prepared: PreparedRouting, angles: Array, new_angles: Array, elements: Elements
 ) -> None:
     """Turn the joints, and write what follows for the rows."""
     rows = len(prepared.joint)
@@ -273,7 +317,7 @@ def _hold_angles(angles: Array, new_angles: Array, band: float, out: Array) -> N
 
 @jit_compile
 def _find_turning_slip(
-    prepared: PreparedRouting, before: Array, after: Array, elements: _Elements
+    prepared: PreparedRouting, before: Array, after: Array, elements: Elements
 ) -> bool:
     """Find elements of curved sections within which slip turns round; return whether there are.
 
@@ -311,7 +355,7 @@ def _find_turning_slip(
 
 
 @jit_compile
-def _set_limits(prepared: PreparedRouting, elements: _Elements, copy: int) -> None:
+def _set_limits(prepared: PreparedRouting, elements: Elements, copy: int) -> None:
     """Set what friction and compliance allow in the likeliest, least or largest copy.
 
     Less tension behind an element is more material for what sticks before it, and so raises it: for
@@ -348,7 +392,7 @@ def _set_limits(prepared: PreparedRouting, elements: _Elements, copy: int) -> No
 def _drive_sheath_ends(
     prepared: PreparedRouting,
     angles: Array,
-    elements: _Elements,
+    elements: Elements,
     copy: int,
     sheath_end: Array,
     tensions: Array,
@@ -379,7 +423,7 @@ def _drive_sheath_ends(
 
 
 @jit_compile
-def _find_stuck_tensions(begin: int, end: int, before: Array, elements: _Elements) -> None:
+def _find_stuck_tensions(begin: int, end: int, before: Array, elements: Elements) -> None:
     """Write T*_e [N] of one tendon's elements to `elements`, from the last to the first."""
     for e in range(end - 1, begin, -1):
         T, below, above = before[e], -math.inf, math.inf
@@ -409,7 +453,7 @@ def _find_stuck_tensions(begin: int, end: int, before: Array, elements: _Element
 
 @jit_compile
 def _limit(
-    e: int, nearer: float, is_first: bool, elements: _Elements, use: int
+    e: int, nearer: float, is_first: bool, elements: Elements, use: int
 ) -> tuple[float, float]:
     """Return the tension [N] behind an element, and how it changes with the `nearer` before it."""
     driving = nearer if is_first else max(nearer - elements.shift[use, e - 1], 0.0)
@@ -434,22 +478,18 @@ def _open_cone(
 
 
 @jit_compile
-def compute_stretches(
-    prepared: PreparedRouting, tensions: Array, angles: Array, out_stretch: Array
+def compute_excess(
+    prepared: PreparedRouting, elements: Elements, tensions: Array, out_excess: Array
 ) -> None:
     """Write how much more tendons stretch behind their sheaths than at the tension there [m].
 
-    `tensions` [N] are those of all rows, `angles` [rad] those of the joints.
+    `tensions` [N] are those of all rows, `elements` those of the step.
     """
     for tendon in range(len(prepared.first) - 1):
         begin, end = prepared.first[tendon], prepared.first[tendon + 1]
-        out_stretch[tendon] = 0.0
+        out_excess[tendon] = 0.0
         for e in range(begin + 1, end):
-            compliance = prepared.compliance[e]
-            compliance += prepared.contact[e, 0] * _compute_bend(prepared, angles, e)
-            if e + 1 < end:
-                compliance += prepared.contact[e, 1] * _compute_bend(prepared, angles, e + 1)
-            out_stretch[tendon] += compliance * (tensions[e] - tensions[begin])
+            out_excess[tendon] += elements.compliance[e] * (tensions[e] - tensions[begin])
 
 
 @jit_compile

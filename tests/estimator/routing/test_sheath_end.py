@@ -13,54 +13,124 @@ from estimator.law.tables import build_tables
 from estimator.law.transmission import read_profile
 from estimator.online.estimator_state import prepare
 from estimator.online.tendon_model import TendonModel
+from estimator.routing.routing import Routing
+from estimator.routing.routing import prepare as prepare_routing
 from estimator.routing.sheath_end import (
     SheathPair,
-    drive_tip,
-    estimate_sheath_ends,
+    drive_sheath_end,
     start_sheath_end,
+    update_pair_travel,
 )
+from estimator.routing.tensions import advance, begin_advance, compute_excess, open_tensions
 from estimator.structs import view_struct
 from studies.brute_force.chain import Chain, Force, Position
+from studies.brute_force.routed import Pin, RoutedChain
 
 SHEATH = Sheath((Section(0.3), Section(0.5, 0.25), Section(0.1)), 0.12, 9000.0)
 TABLES, PRETENSION, DT = build_tables(SHEATH), 2.0, 1e-3
 ENCODER_NOISE = 1e-6  # [m], of a count
 
 
-def play_pair(stiffness_error):
-    """Return tensions at the tip, true and estimated by pair and by T_in alone, shape (n, 2)."""
+RADIUS, SPAN = 0.005, 0.1  # [m] of the joint that moves; of tendon behind each joint
+
+
+class PairInArm:
+    """A pair whose tendons pass a joint that rests, with friction, and end at the next."""
+
+    def __init__(self, model, span=1e-6, wrap=0.5):
+        self.model = model
+        self.routing = prepare_routing(
+            Routing(
+                [[0.004, RADIUS], [0.004, -RADIUS]],
+                friction=[[0.2, 0.0]] * 2,
+                wrap=wrap,
+                side=[[-1, 0]] * 2,
+                span=span,
+                spring_stiffness=[1.0, 0.0],
+                pin_elements=5,
+            )
+        )
+        rows = len(self.routing.joint)
+        self.tensions, self.reported = np.empty((3, rows)), np.empty((3, rows))
+        self.angles = np.zeros((2, 2))
+        sheath_ends = np.full((3, 2), PRETENSION)
+        open_tensions(self.routing, sheath_ends, self.angles[0], self.tensions)
+        self.pair = view_struct(SheathPair.array())
+        for end in self.pair.end:
+            profile = build_pretensioned_profile(TABLES, PRETENSION)
+            start_sheath_end(end, profile, PRETENSION)
+        self.excess = np.zeros(2)
+
+    def step(self, readings, share, known_travel):
+        """Take readings (T_in, q_p); return the tensions at the sheaths' ends."""
+        (T_a, q_a), (T_b, q_b) = readings
+        update_pair_travel(
+            self.pair,
+            self.model,
+            self.model,
+            (T_a, q_a - self.excess[0]),
+            (T_b, q_b - self.excess[1]),
+            share,
+            known_travel,
+            DT,
+        )
+        return self.turn(self.pair.travel)
+
+    def turn(self, travel):
+        """Turn the joint to a `travel` [m]; return the tensions at the sheaths' ends."""
+        new = np.array([[0.0, travel / RADIUS]] * 2)
+        elements = begin_advance(self.routing, self.tensions, self.angles, new)
+        ends = [
+            drive_sheath_end(self.model, end, self.routing, elements, i, self.tensions[0])
+            for i, end in enumerate(self.pair.end)
+        ]
+        driven = self.tensions, self.angles, np.tile(ends, (3, 1)), new, self.reported
+        advance(self.routing, elements, *driven)
+        compute_excess(self.routing, elements, self.reported[0], self.excess)
+        return ends
+
+
+def play_pair(stiffness_error, span=1e-6):
+    """Return tensions at the sheaths' ends, true, by pair and by T_in alone, shape (n, 2)."""
     sections = [(section.length, section.radius) for section in SHEATH.sections]
-    chains = [Chain(sections, SHEATH.friction, 9000.0, beads=30, tension=PRETENSION) for _ in "ab"]
+    chains = [
+        RoutedChain(
+            sections, SHEATH.friction, 9000.0,
+            [Pin(0, 0.004, 0.2, 0.5, span), Pin(1, arm, 0.0, 1.5, span)],
+            [0.0, 0.0], PRETENSION, beads=30,
+        )
+        for arm in (RADIUS, -RADIUS)
+    ]  # fmt: skip
     model = prepare(
         TendonModel(
-            Sheath(SHEATH.sections, SHEATH.friction, 9000.0 * stiffness_error), initial=PRETENSION
+            Sheath(
+                (*SHEATH.sections, Section(2.0 * span)), SHEATH.friction, 9000.0 * stiffness_error
+            ),
+            initial=PRETENSION,
         )
     )
-    pair = view_struct(SheathPair.array())
-    start = build_pretensioned_profile(TABLES, PRETENSION)
-    alone = [start.copy(), start.copy()]
-    for end in pair.end:
-        start_sheath_end(end, start, PRETENSION)
+    pair = PairInArm(model, span)
+    alone = [build_pretensioned_profile(TABLES, PRETENSION) for _ in "ab"]
     rows = []
     for i in range(700):  # the first pulls, its tip goes to and fro; the second is slack
         share = min(i / 100.0, 1.0)
         tensions = PRETENSION + share * np.array([6.0 + 4.0 * math.sin(0.013 * i), -1.6])
         x = share * 6e-4 * math.sin(0.03 * i)
-        for chain, T, tip in zip(chains, tensions, (x, -x), strict=True):
-            chain.move(Force(T), Position(tip))
-        readings = [(T, chain.travel[0]) for T, chain in zip(tensions, chains, strict=True)]
-        ends = estimate_sheath_ends(pair, model, model, *readings, 0.02, x, (0.0, 0.0), DT)
+        for chain, T in zip(chains, tensions, strict=True):
+            chain.move_to(T, [0.0, x / RADIUS])
+        readings = [(T, chain.motor_travel) for T, chain in zip(tensions, chains, strict=True)]
+        ends = pair.step(readings, 0.02, x)
         for profile, T in zip(alone, tensions, strict=True):
             push_proximal(TABLES, profile, T)
-        rows.append([[c.T_out for c in chains], ends, [read_profile(TABLES, p)[1] for p in alone]])
+        true = [chain.sheath_end_tension for chain in chains]
+        rows.append([true, ends, [read_profile(TABLES, p)[1] for p in alone]])
     return np.array(rows[100:]).transpose(1, 0, 2)
 
 
-@pytest.mark.parametrize("stiffness_error", [1.0, 0.9])
-def test_a_pair_shows_that_its_tips_move_before_either_tendon_slides_through(
-    stiffness_error,
-):
-    true, pair, alone = play_pair(stiffness_error)
+@pytest.mark.parametrize(("stiffness_error", "span"), [(1.0, 1e-6), (0.9, 1e-6), (1.0, SPAN)])
+def test_a_pair_shows_that_its_tips_move_before_either_tendon_slides_through(stiffness_error, span):
+    """Also where the tendons stretch behind their sheaths, as far as a guide lets them."""
+    true, pair, alone = play_pair(stiffness_error, span)
     error = np.abs(pair - true)
     assert error.max() < 0.8  # [N] of up to 14 N
     assert error.mean() < 0.05
@@ -73,17 +143,14 @@ def test_tips_that_stick_keep_their_tension_while_the_motors_sway():
     sections = [(section.length, section.radius) for section in SHEATH.sections]
     chains = [Chain(sections, SHEATH.friction, 9000.0, beads=30, tension=PRETENSION) for _ in "ab"]
     model = prepare(TendonModel(SHEATH, initial=PRETENSION, tension_noise=noise))
-    pair = view_struct(SheathPair.array())
-    for end in pair.end:
-        start_sheath_end(end, build_pretensioned_profile(TABLES, PRETENSION), PRETENSION)
-    ends = []
+    pair, ends = PairInArm(model), []
     for i in range(1500):  # at 10 Hz
         sway = 0.3 * math.sin(0.063 * i)
         for chain, T in zip(chains, (PRETENSION + sway, PRETENSION - sway), strict=True):
             chain.move(Force(T), Position(0.0))
         tensions = [chain.T_in + noise * random.standard_normal() for chain in chains]
         readings = [(T, chain.travel[0]) for T, chain in zip(tensions, chains, strict=True)]
-        ends.append(estimate_sheath_ends(pair, model, model, *readings, 0.5, 0.0, (0.0, 0.0), DT))
+        ends.append(pair.step(readings, 0.5, 0.0))
         assert [chain.T_out for chain in chains] == pytest.approx([PRETENSION] * 2, abs=1e-6)
     assert np.ptp(ends[100:], axis=0).max() < 0.05  # [N]
 
@@ -99,10 +166,7 @@ def test_the_travel_of_tips_that_move_is_known_to_a_few_micrometres(is_slack, er
             SHEATH, initial=PRETENSION, tension_noise=noise, displacement_noise=ENCODER_NOISE
         )
     )
-    pair = view_struct(SheathPair.array())
-    for end in pair.end:
-        start_sheath_end(end, build_pretensioned_profile(TABLES, PRETENSION), PRETENSION)
-    errors = []
+    pair, errors = PairInArm(model), []
     for i in range(900):  # tips of up to 5 mm/s
         x, slack = 1e-3 * math.sin(0.005 * i), 0.0
         pulls = [9.0 + 3.0 * math.sin(0.004 * i), 1.5]
@@ -117,8 +181,8 @@ def test_the_travel_of_tips_that_move_is_known_to_a_few_micrometres(is_slack, er
         ]
         readings[1] = (readings[1][0], readings[1][1] - slack)
         share = 1.0 if pulls[1] < 0.05 else 0.02
-        estimate_sheath_ends(pair, model, model, *readings, share, x, (0.0, 0.0), DT)
-        errors.append(pair.travel - x)
+        pair.step(readings, share, x)
+        errors.append(pair.pair.travel - x)
     change = np.array(errors[100:]) - np.mean(errors[100:])
     assert np.quantile(np.abs(change), 0.9) < error_max  # [m]
 
@@ -127,18 +191,22 @@ def test_the_travel_of_tips_that_move_is_known_to_a_few_micrometres(is_slack, er
 @example(12.0, [1.4e-4, -1e-15, 5.3e-5])  # a reversal too small to be seen
 @example(9.0, [1.4e-4, -1.2e-7, 1e-7, 9.7e-6])  # ... and back in two steps
 def test_the_tip_stretches_the_tendon_within_what_friction_holds(tension, stretches):
-    profile = build_pretensioned_profile(TABLES, 3.0)
-    push_proximal(TABLES, profile, tension)
-    left = 0.0
+    arm = PairInArm(prepare(TendonModel(SHEATH, initial=PRETENSION)), wrap=0.0)
+    end, travel = arm.pair.end[0], 0.0
+    push_proximal(TABLES, end.profile, tension)
+    end.held_tension = tension
+    arm.turn(travel)
     for stretch in stretches:
-        before = read_profile(TABLES, profile)
-        wanted = stretch if left * stretch < 0.0 else left + stretch
-        left = drive_tip(TABLES, profile, tension, wanted)
-        T_in, T_out, elongation = read_profile(TABLES, profile)[:3]
+        before, left = read_profile(TABLES, end.profile), end.stretch
+        stretch = travel - (travel - stretch)  # noqa: PLW2901 - without what rounding takes
+        travel -= stretch
+        arm.turn(travel)
+        wanted = left + stretch
+        T_in, T_out, elongation = read_profile(TABLES, end.profile)[:3]
         assert T_in == pytest.approx(tension)
         assert abs(math.log(T_out / T_in)) <= SHEATH.K + 1e-9
         assert (T_out - before[1]) * wanted >= 0.0
         is_limited = abs(math.log(T_out / T_in)) > SHEATH.K - 1e-9
         if not is_limited:
-            assert elongation - before[2] == pytest.approx(wanted - left, abs=1e-12)
-            assert abs(left) <= 0.25 * abs(wanted) + 1e-12
+            assert elongation - before[2] == pytest.approx(wanted - end.stretch, abs=2e-9)
+            assert abs(end.stretch) <= 0.25 * abs(wanted) + 2e-9 or wanted * stretch <= 0.0

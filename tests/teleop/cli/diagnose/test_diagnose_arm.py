@@ -92,7 +92,7 @@ def test_a_recording_is_diagnosed_with_the_arm_of_its_own_config(tmp_path, capsy
     run_ = simulate(config, "sine", duration=12.0, rate=100.0, scale=scale, keep=2.0)
     columns = run_.to_columns()
     travel = 0.005 * columns["joint_angle_2_rad"] - 0.004 * columns["joint_angle_1_rad"]
-    assert columns["distal_displacement_3_m"] == pytest.approx(travel, abs=1e-9)
+    assert columns["distal_displacement_3_m"] == pytest.approx(travel, abs=5e-5)  # it stretches
     assert columns["anchor_tension_3_N"].max() != columns["distal_tension_3_N"].max()
 
     def fill(values):
