@@ -36,9 +36,9 @@ from slave.rig_layout import EstimatedTendon, EstimatedTendons, RigLayout, Tendo
 from teleop.config.arm import (
     ArmConfig,
     assemble_bend_partners,
+    assemble_lengths,
     assemble_tendon_rows,
     find_guides,
-    list_lengths,
 )
 from teleop.messages.messages import MAX_JOINTS
 
@@ -110,13 +110,13 @@ def build_routing(joints: Sequence[Sequence[int]], arms: Sequence[ArmConfig]) ->
     guides = ["proximal" if other < 0 else "spread" for other in partner]
     frictions = np.where(find_guides(table, partner), friction, 0.0)
     groups = [members for members, _ in rows.groups]
-    length = np.tile(list_lengths(arms, len(joints)), (len(table), 1))
+    length = assemble_lengths(arms, rows.travel)
     return Routing(
         table,
         friction=frictions,
         wrap=np.where(frictions > 0.0, wrap, 0.0),
         span=np.where(np.array(partner) < 0, length, 0.0).clip(SPAN_MIN),
-        length=length / 2.0,  # of a section, at either bend
+        length=length,  # of a section
         spring_stiffness=[
             float(list(tendons) in groups and len(tendons) < 2) for tendons in joints
         ],

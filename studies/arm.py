@@ -302,19 +302,26 @@ def press_plane(normal: Sequence[float], angles: Sequence[float] = ARM_ANGLES) -
     angle = np.arccos(np.clip((seen * force).sum(axis=1) / (size * estimated), -1.0, 1.0))
     inside = ((low <= true) & (true <= high)).all(axis=1).mean()
     error = np.abs(estimated - size) / size
-    if not (is_seen := size > CONTACT_MIN).any():
-        is_seen[:], angle[:], error[:] = True, np.nan, np.nan
+    is_seen = size > CONTACT_MIN
     presses = is_seen & (np.array(times) < TURN_S)
-    shares = (50.0, 95.0, 100.0)
+    (angles_seen, angle_pressing), (errors_seen, error_pressing) = (
+        [compute_percentiles(values[chosen]) for chosen in (is_seen, presses)]
+        for values in (angle, error)
+    )
     return TipErrors(
-        np.percentile(angle[is_seen], shares),
-        np.percentile(error[is_seen], shares),
+        angles_seen,
+        errors_seen,
         inside,
         is_identified.min(axis=1).mean(),
         np.linalg.norm(true, axis=1).max(),
-        float(np.percentile(angle[presses], 95.0)),
-        float(np.percentile(error[presses], 95.0)),
+        angle_pressing[1],
+        error_pressing[1],
     )
+
+
+def compute_percentiles(values: Array) -> Array:
+    """Return percentiles 50, 95 and 100, NaN where nothing was seen."""
+    return np.asarray(np.percentile(values, (50.0, 95.0, 100.0)) if len(values) else [np.nan] * 3)
 
 
 def collect_forces(rig: SimulatedRig, memory: SlaveMemory) -> list[Array]:

@@ -21,7 +21,7 @@ from estimator.array_types import Array, Mask
 from estimator.calibration.blocked_loop import BlockedLoop, Branch, CalibrationError, segment_loop
 from estimator.calibration.model_averaging import UNMODELLED_UNCERTAINTY, ModelAverage, Rival
 from estimator.calibration.model_averaging import average_antagonists as weighed_together
-from estimator.calibration.pattern import Pattern, PatternLeastSquares
+from estimator.calibration.pattern import NO_TAIL, Pattern, PatternLeastSquares, Tail
 from estimator.calibration.pattern_search import PatternSearchResult, search_pattern
 from estimator.fitting import MeasuredValue
 from estimator.law.sheath import Sheath
@@ -290,7 +290,7 @@ def calibrate(
     stiffness_uncertainty: float = 0.0,
     zero_uncertainty: float = ZERO_UNCERTAINTY,
     tolerance: float = TOLERANCE,
-    is_continued: bool = False,
+    tail: Tail = NO_TAIL,
 ) -> Calibration:
     """Calibrate from pulls and releases with the tip blocked.
 
@@ -308,9 +308,9 @@ def calibrate(
         the low end of the loop a hundredth of a newton is per cents.
     tolerance : float
         Largest standard uncertainty of K that is accepted.
-    is_continued : bool
-        Whether the tendon goes on behind its sheath, past guides and a stop that yield a little:
-        little compliance at the end of the pattern may then be theirs.
+    tail : Tail
+        How the tendon goes on behind its sheath, in an arm; K, its slopes' too, and EA/L are of the
+        sheath alone.
 
     Raises
     ------
@@ -322,29 +322,34 @@ def calibrate(
             "the paper's K needs both axial_stiffness and length: give the other"
         )
     loop = segment_loop(proximal_tension, proximal_displacement)
-    deepest = _compute_reach(loop) - _DEPTH_MARGIN if is_continued else None
-    search = search_pattern(PatternLeastSquares(loop, zero_uncertainty), deepest)
+    search = search_pattern(PatternLeastSquares(loop, zero_uncertainty, tail))
     K, pattern = search.weighed.K, search.weighed.pattern
-    largest = K.value + 2.0 * K.uncertainty
+    largest = K.value + 2.0 * K.uncertainty + max(tail.depth, default=0.0)
     _require_plausible_sheath(loop, search)
     require_straight_pulls(loop, largest)
     _require_identifiable(loop, search, tolerance)
     M_pull = fit_pull_slope(loop, largest)
     M_rel = fit_release_slope(loop, largest) or MeasuredValue(
-        pattern.compute_slope(1.0), K.uncertainty * pattern.compute_slope(1.0)
+        pattern.compute_slope(1.0, tail), K.uncertainty * pattern.compute_slope(1.0, tail)
     )
-    K_loop = _compute_loop_friction(M_pull, M_rel)
+    of_sheath = [
+        slope._replace(value=slope.value - pattern.compute_tail_slope(sign, tail))
+        for sign, slope in ((-1.0, M_pull), (1.0, M_rel))
+    ]
+    K_loop = _compute_loop_friction(*of_sheath)
     M_e = _compute_elongation_constant(loop)
     K_paper = K_paper_ratio = None
     if axial_stiffness is not None and length is not None:
-        K_paper = compute_paper_friction(M_pull, axial_stiffness, length, stiffness_uncertainty)
+        K_paper = compute_paper_friction(
+            of_sheath[0], axial_stiffness, length, stiffness_uncertainty
+        )
         if M_e.value * axial_stiffness < length:
             K_paper_ratio = compute_paper_friction(
                 M_e, axial_stiffness, length, stiffness_uncertainty
             )
     uniform = _is_consistent(K, K_loop)
-    behind = _BEHIND_UNCERTAINTY * pattern.compliance if is_continued else 0.0
-    compliance_noise = math.hypot(search.compliance_noise, behind)
+    yields = _BEHIND_UNCERTAINTY * pattern.compliance if tail.share else 0.0
+    compliance_noise = math.hypot(search.compliance_noise, yields)
     return Calibration(
         K=K,
         K_loop=K_loop,

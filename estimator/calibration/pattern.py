@@ -9,6 +9,11 @@ is linear in the compliance. A stretch of constant bend radius has its complianc
 an interval of s, a straight one has it all at one depth. A `Shape` says where intervals end and
 which of their ends carry a straight stretch; the compliances, none of them negative, follow
 from least squares, and only the ends of the intervals, of which the last is K, are searched.
+
+Behind the sheath, in an arm, the tendon goes on in stretches between guides. These are known but
+for EA, which is that of the sheath: so each compliance of the sheath brings its share of theirs.
+The stops at which joints are held yield a little: one compliance more, unknown but small. What the
+friction of guides differs from the known one is unknown and small, too.
 """
 
 import math
@@ -16,6 +21,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.array_types import Array, Mask
 from estimator.calibration.blocked_loop import BlockedLoop
@@ -31,12 +37,29 @@ STEP_MIN = 0.004
 _NODE_SPACING = 0.01  # of s
 _TENSION_MIN = 1e-9  # [N]
 _SLACK = math.log(_TENSION_MIN) - K_MAX
+_YIELD_SHARE = 0.05  # of the slope of all of the loop: one sigma of what a stop yields
+_DEEPER = 1.1  # times the depths of a tail, to see what its friction changes
+_TAIL_ERROR_MIN = 1e-3
 _RELATIVE_STEP = 1e-3  # relative, of the intervals
 _TURN_STEP = 2e-4  # relative, of the turning tensions
 _ZERO_STEP = 1e-4  # [N]
 _DEGENERATE = 1e-8  # of the largest singular value: differences of these steps tell no less
 # how far refining goes: ln, ln, uncertainties
 _ENDS_RANGE, _TURNS_RANGE, _ZERO_RANGE = 0.7, 0.5, 3.0
+
+
+class Tail(NamedTuple):
+    """The stretches of a tendon between guides behind its sheath."""
+
+    share: tuple[float, ...] = ()  # length of each over that of the sheath
+    depth: tuple[float, ...] = ()  # friction from the sheath's end to each
+    # by how much the tip moves there where each stop yields by 1 m/N
+    yields: tuple[float, ...] = ()
+    error: float = 0.0  # relative standard uncertainty of the depths
+
+
+NO_TAIL = Tail()
+NO_PRIOR = np.empty(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +69,7 @@ class Pattern:
     ends: tuple[float, ...]  # s at the end of each interval, rising; the last is K
     spread: tuple[float, ...]  # compliance of each interval [m/N]
     straight: tuple[float, ...]  # the same of a straight stretch at s = 0 and at each end [m/N]
+    stop: float = 0.0  # compliance of stops behind the sheath [m/N], not of it
 
     @property
     def K(self) -> float:  # noqa: N802 (the paper's symbol)
@@ -57,13 +81,20 @@ class Pattern:
         """L/EA [m/N]."""
         return math.fsum((*self.spread, *self.straight))
 
-    def compute_slope(self, sign: float) -> float:
+    def compute_slope(self, sign: float, tail: Tail = NO_TAIL) -> float:
         """Return ∫ e^(sign s) dC [m/N]: M_pull for -1, M_rel for +1 (T4)."""
         begin = (0.0, *self.ends)
         total = math.fsum(c * math.exp(sign * s) for c, s in zip(self.straight, begin, strict=True))
         for a, b, c in zip(begin[:-1], begin[1:], self.spread, strict=True):
             total += c * math.exp(sign * a) * math.expm1(sign * (b - a)) / (sign * (b - a))
-        return total
+        return total + self.compute_tail_slope(sign, tail)
+
+    def compute_tail_slope(self, sign: float, tail: Tail) -> float:
+        """Return the part of a slope [m/N] that is of what follows the sheath."""
+        at = zip(tail.share, tail.yields, tail.depth, strict=True)
+        return math.fsum(
+            (self.compliance * r + self.stop * y) * math.exp(sign * (self.K + s)) for r, y, s in at
+        )
 
     def adjust_friction(self, K: float) -> "Pattern":
         """Return the pattern with more or less friction in its last bend, or else in all of them.
@@ -74,10 +105,6 @@ class Pattern:
         if before + STEP_MIN < K:
             return replace(self, ends=(*self.ends[:-1], K))
         return replace(self, ends=tuple(end * K / self.K for end in self.ends))
-
-    def cut(self, count: int) -> "Pattern":
-        """Return the pattern of the first `count` intervals."""
-        return Pattern(self.ends[:count], self.spread[:count], self.straight[: count + 1])
 
     def build_sheath(self, length: float, friction: float = 0.1) -> Sheath:
         """Return a sheath of that pattern, `length` [m] long, motor first.
@@ -133,13 +160,14 @@ class Uncertainty(NamedTuple):
 class PlayOperators:
     """T(s, t) of a loop on nodes of s, and its integrals, for given turning tensions."""
 
-    def __init__(self, loop: BlockedLoop, turns: Array, zero: float) -> None:
+    def __init__(self, loop: BlockedLoop, turns: Array, zero: float, tail: Tail) -> None:
         """Drive the play operators through the loop.
 
         `turns` [N] are the tensions between branches, `zero` [N] is the reading without tension.
         """
-        self._loop = loop
-        self._s = np.arange(0.0, K_MAX + 1.5 * _NODE_SPACING, _NODE_SPACING)[:, None]
+        self._loop, self._tail = loop, tail
+        deepest = K_MAX + max(tail.depth, default=0.0) * _DEEPER
+        self._s = np.arange(0.0, deepest + 1.5 * _NODE_SPACING, _NODE_SPACING)[:, None]
         y = np.full_like(self._s, _SLACK)
         lines, logs = [], []
         for number, branch in enumerate(loop.branches):
@@ -160,12 +188,12 @@ class PlayOperators:
         np.cumsum(np.diff(self._T, axis=0) / rise * _NODE_SPACING, axis=0, out=self._integral[1:])
 
     def compute_columns(self, shape: Shape) -> Array:
-        """Return travel per compliance [N] of intervals, then of straight stretches."""
+        """Return travel per compliance [N] of intervals, then of straight stretches.
+
+        With a tail also of stops, and of guides' friction that is larger or smaller.
+        """
         begin = np.concatenate([[0.0], shape.ends])
-        position = np.clip(begin / _NODE_SPACING, 0.0, len(self._s) - 1.001)
-        k = position.astype(np.int64)
-        f = (position - k)[:, None]
-        T_a, T_b = self._T[k], self._T[k + 1]
+        k, f, T_a, T_b = self._find_nodes(begin)
         # Cubic in between: the derivative of the integral is T.
         total = (
             self._integral[k] * (1 - f) ** 2 * (1 + 2 * f)
@@ -174,7 +202,22 @@ class PlayOperators:
         )
         spread = np.diff(total, axis=0) / np.diff(begin)[:, None]
         at = T_a * (1 - f) + T_b * f
-        return np.asarray(np.vstack([spread, at[shape.straight]]).T)
+        columns = np.vstack([spread, at[shape.straight]])
+        if self._tail.share:
+            depth = np.array(self._tail.depth)
+            _, f, T_a, T_b = self._find_nodes(begin[-1] + np.append(depth, depth * _DEEPER))
+            behind, deeper = np.split(T_a * (1 - f) + T_b * f, 2)
+            share = np.array(self._tail.share)
+            change = share @ (deeper - behind) / (_DEEPER - 1.0)
+            columns += share @ behind
+            columns = np.vstack([columns, np.array(self._tail.yields) @ behind, change, -change])
+        return np.asarray(columns.T)
+
+    def _find_nodes(self, s: Array) -> tuple[NDArray[np.int64], Array, Array, Array]:
+        """Return the nodes before each `s`, the part of the way to the next, and T at both."""
+        position = np.clip(s / _NODE_SPACING, 0.0, len(self._s) - 1.001)
+        k = position.astype(np.int64)
+        return k, (position - k)[:, None], self._T[k], self._T[k + 1]
 
     def compute_slopes(self, pattern: Pattern) -> Array:
         """Return de/dT_in of each average [m/N] (T7)."""
@@ -187,9 +230,11 @@ class PlayOperators:
         begin = np.array([0.0, *pattern.ends])
         k = np.rint(begin / _NODE_SPACING).astype(np.int64)
         density = np.array(pattern.spread) / np.diff(begin)
-        return np.asarray(
-            density @ np.diff(running[k], axis=0) + np.array(pattern.straight) @ gain[k]
-        )
+        slopes = density @ np.diff(running[k], axis=0) + np.array(pattern.straight) @ gain[k]
+        if self._tail.share:
+            k = np.rint((pattern.K + np.array(self._tail.depth)) / _NODE_SPACING).astype(np.int64)
+            slopes += pattern.compliance * np.array(self._tail.share) @ gain[k]
+        return np.asarray(slopes)
 
     def compute_free_columns(self, step: float) -> Array:
         """Return travel per compliance [N] of straight stretches every `step` of s."""
@@ -199,12 +244,12 @@ class PlayOperators:
 class PatternLeastSquares:
     """Least squares of patterns to one loop, every average weighted by its noise."""
 
-    def __init__(self, loop: BlockedLoop, zero_uncertainty: float) -> None:
+    def __init__(self, loop: BlockedLoop, zero_uncertainty: float, tail: Tail = NO_TAIL) -> None:
         """Weigh by the mean slope until `weigh` knows a pattern.
 
         `zero_uncertainty` [N] is how well the load cell has been zeroed.
         """
-        self._loop = loop
+        self._loop, self._tail = loop, tail
         self._zero_uncertainty = max(zero_uncertainty, 1e-9)
         self._turns = np.maximum(loop.turns[:-1], _TENSION_MIN)
         self.zero = 0.0
@@ -212,8 +257,12 @@ class PatternLeastSquares:
         self._count = np.concatenate([branch.count for branch in loop.branches])
         self._readings = np.concatenate([branch.readings for branch in loop.branches])
         T = np.concatenate([branch.T for branch in loop.branches])
-        self._play = PlayOperators(loop, self._turns, self.zero)
-        self._set_weights(np.full_like(self._q, float(np.ptp(self._q) / np.ptp(T))))
+        self._play = PlayOperators(loop, self._turns, self.zero, tail)
+        slope = float(np.ptp(self._q) / np.ptp(T))
+        error = max(tail.error, _TAIL_ERROR_MIN)
+        sigmas = slope * np.array([_YIELD_SHARE, error, error] if tail.share else [])
+        self._prior_weights = 1.0 / sigmas
+        self._set_weights(np.full_like(self._q, slope))
 
     @property
     def n(self) -> int:
@@ -228,7 +277,7 @@ class PatternLeastSquares:
     @state.setter
     def state(self, state: tuple[Array, float]) -> None:
         self._turns, self.zero = state
-        self._play = PlayOperators(self._loop, self._turns, self.zero)
+        self._play = PlayOperators(self._loop, self._turns, self.zero, self._tail)
 
     def weigh(self, pattern: Pattern) -> None:
         """Weigh by the slopes of `pattern`, which make tension noise a residual of travel."""
@@ -249,7 +298,7 @@ class PatternLeastSquares:
             return _from_logs(np.concatenate([x, fixed_logs]))
 
         def residual(x: Array) -> Array:
-            return self._solve(self._play.compute_columns(shape._replace(ends=ends(x))))[0]
+            return self._solve_shape(shape._replace(ends=ends(x)))[0]
 
         solution = minimise_squares(
             residual,
@@ -269,10 +318,9 @@ class PatternLeastSquares:
         n = len(fit.shape.ends)
 
         def solve(x: Array) -> tuple[Array, Array]:
-            self._play = PlayOperators(self._loop, np.exp(x[n:-1]), float(x[-1]))
-            return self._solve(
-                self._play.compute_columns(fit.shape._replace(ends=_from_logs(x[:n])))
-            )
+            turns, zero = np.exp(x[n:-1]), float(x[-1])
+            self._play = PlayOperators(self._loop, turns, zero, self._tail)
+            return self._solve_shape(fit.shape._replace(ends=_from_logs(x[:n])))
 
         def residual(x: Array) -> Array:
             return np.append(solve(x)[0], x[-1] / self._zero_uncertainty)
@@ -296,7 +344,10 @@ class PatternLeastSquares:
         inverse = np.linalg.pinv(solution.jacobian, _DEGENERATE)
         K_by = np.zeros(len(best))
         K_by[:n] = np.exp(best[:n])  # K is the sum of the intervals
-        C_by = compute_central_differences(lambda x: solve(x)[1].sum(keepdims=True), best, steps)[0]
+        count = n + int(fit.shape.straight.sum())
+        C_by = compute_central_differences(
+            lambda x: solve(x)[1][:count].sum(keepdims=True), best, steps
+        )[0]
         self.state = np.exp(best[n:-1]), float(best[-1])
         refined = self._fit_shape(fit.shape._replace(ends=_from_logs(best[:n])))
         linear = self._compute_linear_uncertainty(refined)
@@ -308,16 +359,15 @@ class PatternLeastSquares:
 
     def compute_tension_residual(self, fit: PatternFit) -> float:
         """Return the root mean square of the residuals as a tension [N], noise left in."""
-        residual, _ = self._solve(self._play.compute_columns(fit.shape))
-        scaled = residual / np.sqrt(self._count)  # in units of the noise of one sample
+        residual, _ = self._solve_shape(fit.shape)
+        scaled = residual[: self.n] / np.sqrt(self._count)  # in units of the noise of one sample
         return self._loop.sigma * float(np.sqrt(np.average(scaled**2, weights=self._count)))
 
     def _compute_linear_uncertainty(self, fit: PatternFit) -> float:
         """Return that of the sum of compliances while the ends stay [m/N]."""
         used = np.array([*fit.pattern.spread, *np.array(fit.pattern.straight)[fit.shape.straight]])
-        A = self._remove_offset(self._play.compute_columns(fit.shape) * self._weight[:, None])[
-            :, used > 0.0
-        ]
+        A = self._remove_offset(self._play.compute_columns(fit.shape) * self._weight[:, None])
+        A = A[:, : len(used)][:, used > 0.0]
         scale = np.linalg.norm(A, axis=0)
         return float(np.linalg.norm((1.0 / scale) @ np.linalg.pinv(A / scale, _DEGENERATE)))
 
@@ -334,21 +384,29 @@ class PatternLeastSquares:
         mean = self._mean if weighted.ndim == 1 else self._mean[:, None]
         return np.asarray(weighted - mean * (self._mean @ weighted))
 
-    def _solve(self, columns: Array) -> tuple[Array, Array]:
-        A = self._remove_offset(columns * self._weight[:, None])
+    def _solve_shape(self, shape: Shape) -> tuple[Array, Array]:
+        return self._solve(self._play.compute_columns(shape), self._prior_weights)
+
+    def _solve(self, columns: Array, prior_weights: Array = NO_PRIOR) -> tuple[Array, Array]:
+        """Return residuals and compliances [m/N]; a prior makes the last ones small."""
+        A, target = self._remove_offset(columns * self._weight[:, None]), self._target
+        count = len(prior_weights)
+        prior = np.hstack([np.zeros((count, A.shape[1] - count)), np.diag(prior_weights)])
+        A, target = np.vstack([A, prior]), np.append(target, np.zeros(count))
         scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
         from scipy.optimize import nnls
 
-        x, _ = nnls(A / scale, self._target, maxiter=50 * A.shape[1])
-        return self._target - (A / scale) @ x, x / scale
+        x, _ = nnls(A / scale, target, maxiter=50 * A.shape[1])
+        return target - (A / scale) @ x, x / scale
 
     def _fit_shape(self, shape: Shape) -> PatternFit:
-        residual, x = self._solve(self._play.compute_columns(shape))
-        n = len(shape.ends)
+        residual, x = self._solve_shape(shape)
+        n, count = len(shape.ends), int(shape.straight.sum())
         straight = np.zeros(n + 1)
-        straight[shape.straight] = x[n:]
+        straight[shape.straight] = x[n : n + count]
+        stop = float(x[n + count]) if len(x) > n + count else 0.0
         pattern = Pattern(
-            tuple(shape.ends.tolist()), tuple(x[:n].tolist()), tuple(straight.tolist())
+            tuple(shape.ends.tolist()), tuple(x[:n].tolist()), tuple(straight.tolist()), stop
         )
         return PatternFit(shape, pattern, float(residual @ residual))
 

@@ -8,12 +8,12 @@ in a slight bend.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from estimator.array_types import Array, Mask
+from estimator.array_types import Mask
 from estimator.calibration.model_averaging import (
     ModelAverage,
     Rival,
@@ -37,9 +37,6 @@ BEND_DENSITY_MIN, BEND_DENSITY_LOG_SIGMA = 0.15, 0.45
 """The last interval's compliance per unit of s, over that of the sheath: below the first, which is
 a bend of some 30 mm, it is rarer by one sigma for each factor e^0.45. Without this anything could
 follow beyond the tip, as long as it has next to no compliance."""
-BEHIND_SIGMA = 0.05
-"""Compliance of guides and stops behind a sheath, over that of all: one sigma."""
-TAIL_SHARE = 3.0 * BEHIND_SIGMA  # of all compliance: what follows may be behind the sheath
 
 _STARTS = (0.2, 0.4, 0.7, 1.0, 1.4, 1.9, 2.5)
 _FREE_STEP = 0.03
@@ -65,14 +62,8 @@ class PatternSearchResult(NamedTuple):
     residual: float  # [N] root mean square
 
 
-def search_pattern(
-    fitter: PatternLeastSquares, continued: float | None = None
-) -> PatternSearchResult:
-    """Return the pattern of a loop.
-
-    Where the tendon goes on behind its sheath, `continued` is the s above which no sheath ends, and
-    a tight bend before the last one counts, too: what little follows is of guides and stops.
-    """
+def search_pattern(fitter: PatternLeastSquares) -> PatternSearchResult:
+    """Return the pattern of a loop."""
     fit = _fit_one_interval(fitter)
     fit = _select_shape(fitter, fit)
     fit, _ = fitter.refine(fit)
@@ -83,13 +74,6 @@ def search_pattern(
     scale = max(misfit, 1.0)
     found = [_build_rival(fit, scale, uncertainty.K)]
     found += _find_rivals(fitter, fit, scale, uncertainty.K)
-    if continued is not None:
-        found += _cut_rivals(found)
-        found = [rival for rival in found if continued > rival.pattern.K] or found
-        found = [
-            rival._replace(score=rival.score + _compute_tail_penalty(rival.pattern))
-            for rival in found
-        ]
     rivals = deduplicate_rivals(found)
     return PatternSearchResult(
         rivals=rivals,
@@ -109,16 +93,6 @@ def _build_rival(fit: PatternFit, scale: float, uncertainty: float, prior: float
         + prior
     )
     return Rival(fit.pattern, score, math.sqrt(scale) * uncertainty)
-
-
-def _cut_rivals(rivals: Sequence[Rival]) -> Iterator[Rival]:
-    """Yield rivals without what follows each of their ends: guides, and stops that yield."""
-    for whole, score, _ in rivals:
-        for count in range(1, len(whole.ends)):
-            pattern = whole.cut(count)
-            behind = 1.0 - pattern.compliance / whole.compliance
-            more = _compute_bend_penalty(pattern) - _compute_bend_penalty(whole)
-            yield Rival(pattern, score + more + (behind / BEHIND_SIGMA) ** 2, 0.0)
 
 
 def _find_rivals(
@@ -198,22 +172,10 @@ def _select_shape(fitter: PatternLeastSquares, fit: PatternFit) -> PatternFit:
 
 def _compute_bend_penalty(pattern: Pattern) -> float:
     """Return how improbably tight the last bend is, in units of chi²."""
-    return float(_compute_bend_penalties(pattern)[-1])
-
-
-def _compute_tail_penalty(pattern: Pattern) -> float:
-    """Return that of the bends before the last one that have little compliance behind them."""
-    before = np.array([pattern.cut(k).compliance for k in range(len(pattern.ends) - 1)])
-    is_tail = before > (1.0 - TAIL_SHARE) * pattern.compliance
-    return float(_compute_bend_penalties(pattern)[:-1][is_tail].sum())
-
-
-def _compute_bend_penalties(pattern: Pattern) -> Array:
-    """Return how improbably tight each bend is, in units of chi²."""
     width = np.diff(pattern.ends, prepend=0.0)
     density = np.maximum(np.array(pattern.spread) / (width * pattern.compliance), 1e-9)
     rarity = np.log(BEND_DENSITY_MIN / density) / BEND_DENSITY_LOG_SIGMA
-    return np.asarray(np.maximum(rarity, 0.0) ** 2)
+    return float(np.maximum(rarity, 0.0)[-1] ** 2)
 
 
 def _generate_larger_shapes(shape: Shape) -> Iterator[Shape]:

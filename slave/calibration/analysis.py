@@ -24,6 +24,7 @@ from slave.calibration.procedure_log import ProcedureData
 from slave.calibration.procedure_run import CalibrationRefused
 from slave.calibration.procedure_state import Phase
 from slave.calibration.tendon_identification import (
+    ArmStretches,
     PulledTendon,
     build_tendon_calibration,
     calibrate_tendon,
@@ -106,6 +107,7 @@ RANGE_DIFFERENCE_MAX = 0.001
 
 
 NO_SUMS: Mapping[int, MeasuredValue] = {}
+NO_ARM: Mapping[tuple[int, int], ArmStretches] = {}
 
 
 class JointResult(NamedTuple):
@@ -122,17 +124,22 @@ def analyse_procedure(
     config: InitialiseConfig,
     ranges: Sequence[float | None] = (),
     sums: Mapping[int, MeasuredValue] = NO_SUMS,
+    in_arm: Mapping[tuple[int, int], ArmStretches] = NO_ARM,
 ) -> tuple[JointResult, ...]:
     """Evaluate the record of a procedure; return one result per calibrated joint.
 
     `ranges` [m] are the travel of each joint between its stops in an earlier calibration, `sums`
-    K_a + K_b of the sheaths of joints whose tendons pass others. `CalibrationRefused` if the
-    measurement is not that of tendons in sheaths pulled against end stops.
+    K_a + K_b of the sheaths of joints whose tendons pass others, `in_arm` what follows the sheath
+    of a joint's tendon. `CalibrationRefused` if the measurement is not that of tendons in sheaths
+    pulled against end stops.
     """
     results, earlier_ranges = [], [*ranges, *[None] * len(record.joints)]
     for j, stops in enumerate(record.stops):
         if stops:
-            pulled = [PulledTendon(record, j, side) for side in range(len(record.joints[j]))]
+            pulled = [
+                PulledTendon(record, j, side, in_arm.get((j, side)))
+                for side in range(len(record.joints[j]))
+            ]
             directions, tendons = evaluate_tendons(pulled, config, sums.get(j))
             travel = _compute_joint_range(pulled, directions, config, earlier_ranges[j])
             results.append(JointResult(j, directions, tendons, travel))

@@ -18,15 +18,22 @@ from estimator.array_types import Array
 from estimator.calibration.calibration import CalibrationError
 from estimator.calibration.drag import fit_friction_sum
 from estimator.fitting import COVERAGE_FACTOR, MeasuredValue
+from estimator.routing.routing import Routing, prepare
 from slave.arm_estimate import build_routing
 from slave.calibration.calibration_file import GuideFriction, ValueWithUncertainty
 from slave.calibration.procedure_log import ProcedureData
 from slave.calibration.procedure_state import Phase
-from slave.calibration.tendon_identification import RELATIVE_ERROR_MIN, round_significant
-from teleop.config.arm import ArmConfig, assemble_tendon_rows
+from slave.calibration.tendon_identification import (
+    RELATIVE_ERROR_MIN,
+    ArmStretches,
+    PulledTendon,
+    round_significant,
+)
+from teleop.config.arm import ArmConfig, assemble_lengths, assemble_tendon_rows
 
 ANGLE_ERROR = 0.04  # [rad] standard uncertainty of a joint in a posture
 UNIT_FRICTION = 1e-3  # small: a routing bounds K
+SECTION_ELEMENTS = 8  # of friction along a curved section
 FRICTION_START = 0.1  # of guides, for the uncertainty of their bends
 MISFIT_MAX = 4.0  # of the reduced chi square: beyond it one mu a joint does not describe the drags
 
@@ -66,6 +73,60 @@ def build_bends(joints: Sequence[Sequence[int]], arms: Sequence[ArmConfig]) -> B
         return np.array([K[list(tendons)].sum(axis=0) for tendons in joints]) / UNIT_FRICTION
 
     return compute_bends
+
+
+def list_arm_stretches(
+    record: ProcedureData, arms: Sequence[ArmConfig]
+) -> dict[tuple[int, int], ArmStretches]:
+    """Return what follows the sheath of each tendon while it is pulled, by joint and side."""
+    if not arms:
+        return {}
+    rows = assemble_tendon_rows(arms, record.joints)
+    in_arms = assemble_lengths(arms, rows.travel).sum(axis=1)
+    routing = replace(
+        build_routing(record.joints, arms), bend_elements=SECTION_ELEMENTS, axial_stiffness=1.0
+    )
+    found = {}
+    for k, tendons in enumerate(record.joints):
+        for side, tendon in enumerate(tendons):
+            pulled = PulledTendon(record, k, side).select_rows(Phase.PULL, Phase.RELEASE)
+            if in_arms[tendon] > 0.0 and pulled.any():
+                travel = np.asarray(record.joint_travel[pulled].mean(axis=0))
+                found[k, side] = _locate_stretches(
+                    routing, tendon, float(in_arms[tendon]), rows.radius, travel
+                )
+    return found
+
+
+def _locate_stretches(
+    routing: Routing, tendon: int, total: float, radius: Array, travel: Array
+) -> ArmStretches:
+    """Return the stretches of a tendon with the joints at their stops, at `travel` [m].
+
+    `total` [m] is their length without contact with pins; the routing leaves out the first one.
+
+    A stop that yields by x per newton lets joint j go by x sum_e s_ej T_e, where it shortens
+    stretch e by s_ej of its travel, and all stretches together by their sum.
+    """
+    prepared = prepare(routing)
+    part = slice(prepared.first[tendon], prepared.first[tendon + 1])
+    joint, partner, turned_by = (
+        table[part] for table in (prepared.joint, prepared.partner, prepared.turned_by)
+    )
+    theta = travel / radius
+    bend = np.abs(prepared.wrap[part] + prepared.side[part] * theta[joint])
+    bend = np.hypot(bend, theta[partner] * (partner >= 0))
+    contact, length = prepared.contact[part], prepared.compliance[part].copy()  # EA is 1
+    length[0] = max(total - length.sum(), 0.0) + contact[1, 0] * bend[1]
+    length[1:] += contact[1:, 0] * bend[1:]
+    length[1:-1] += contact[1:-1, 1] * bend[2:]
+    all_of_it = (np.asarray(routing.radii)[tendon] / radius**2)[turned_by]
+    return ArmStretches(
+        tuple(length.tolist()),
+        tuple(np.cumsum(prepared.friction[part] * bend).tolist()),
+        tuple((all_of_it * prepared.shortening[part]).sum(axis=1).tolist()),
+        routing.friction_error / COVERAGE_FACTOR,
+    )
 
 
 def identify_guide_friction(record: ProcedureData, bends: Bends, gain_error: float) -> GuideFit:

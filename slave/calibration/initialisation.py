@@ -6,13 +6,14 @@ from datetime import UTC, datetime
 from typing import NamedTuple
 
 from slave.calibration.analysis import JointResult, analyse_procedure
-from slave.calibration.calibration_file import Calibration, find_misfit
+from slave.calibration.calibration_file import Calibration, apply_guide_friction, find_misfit
 from slave.calibration.guide_friction import (
     NO_GUIDES,
     GuideFit,
     build_bends,
     build_guide_entries,
     identify_guide_friction,
+    list_arm_stretches,
 )
 from slave.calibration.procedure_log import ProcedureData
 from slave.calibration.procedure_run import ProcedureLimits, ProcedureProgress, run_procedure
@@ -95,7 +96,10 @@ def initialise(
         if arms:
             bends = build_bends(rig.joints, arms)
             fit = identify_guide_friction(driven.record, bends, procedure.gain_error)
-        results = analyse_procedure(driven.record, procedure, ranges, fit.sums)
+        in_arm = list_arm_stretches(
+            driven.record, apply_guide_friction(arms, build_guide_entries(fit))
+        )
+        results = analyse_procedure(driven.record, procedure, ranges, fit.sums, in_arm)
     method = f"pulls and releases against the stops, {'quick' if quick else 'full'} form"
     now = datetime.now(UTC).isoformat(timespec="seconds")
     calibration = assemble_calibration(results, rig, method, now, earlier if in_part else None, fit)

@@ -16,6 +16,7 @@ from estimator import noise_treatment
 from estimator.array_types import Array
 from estimator.calibration import calibration as blocked_tip
 from estimator.calibration.calibration import CalibrationError
+from estimator.calibration.pattern import NO_TAIL, Tail
 from estimator.fitting import COVERAGE_FACTOR, MeasuredValue
 from estimator.law.sheath import Sheath
 from estimator.plausibility import find_implausible_parameter
@@ -53,12 +54,22 @@ class HysteresisLoop(NamedTuple):
     travel: Array  # [m]
 
 
+class ArmStretches(NamedTuple):
+    """The stretches of a tendon between guides of an arm, behind its sheath, while it is pulled."""
+
+    length: tuple[float, ...]  # [m]
+    depth: tuple[float, ...]  # friction from the sheath's end to each
+    yields: tuple[float, ...]  # by how much the sheath's end moves where a stop yields by 1 m/N
+    error: float  # relative standard uncertainty of the friction
+
+
 class PulledTendon(NamedTuple):
     """One tendon of one joint in a record."""
 
     record: ProcedureData
     joint: int  # counted from 0
     side: int  # which of its tendons
+    in_arm: ArmStretches | None = None
 
     @property
     def tendon(self) -> int:
@@ -263,13 +274,14 @@ def _build_tendon_config(
 ) -> TendonConfig:
     """Return the estimator parameters; several sections if the curvature is uneven."""
     model = calibration.build_sheath(sheath.length)
-    is_uniform = len(model.sections) == 1
+    in_arm = () if pulled.in_arm is None else (SectionConfig(math.fsum(pulled.in_arm.length)),)
+    is_uniform = len(model.sections) == 1 and not in_arm
     moving = pulled.select_rows(Phase.PULL, Phase.RELEASE)
     return TendonConfig(
         effective_friction=round_significant(calibration.K.value) if is_uniform else None,
         length=sheath.length,
         friction=None if is_uniform else model.friction,
-        sections=() if is_uniform else _scale_sections(model, calibration.K.value),
+        sections=() if is_uniform else _scale_sections(model, calibration.K.value) + in_arm,
         axial_stiffness=round_significant(model.axial_stiffness),
         tension_noise=round_significant(
             noise_treatment.estimate_noise_sigma(pulled.tension[moving])
@@ -313,6 +325,10 @@ def _fit_loops(
 ) -> blocked_tip.Calibration:
     loops = extract_loops(pulled, low)
     is_full = int(pulled.record.releases[:, pulled.joint].max()) > QUICK_RELEASES
+    tail = NO_TAIL
+    if pulled.in_arm is not None:
+        length, depth, yields, error = pulled.in_arm
+        tail = Tail(tuple(part / sheath.length for part in length), depth, yields, error)
     try:
         calibrations = [
             blocked_tip.calibrate(
@@ -321,7 +337,7 @@ def _fit_loops(
                 axial_stiffness=sheath.axial_stiffness,
                 length=None if sheath.axial_stiffness is None else sheath.length,
                 stiffness_uncertainty=sheath.stiffness_error,
-                is_continued=bool(pulled.record.joint_travel.any()),  # of an arm
+                tail=tail,
             )
             for loop in loops
         ]

@@ -56,7 +56,7 @@ from slave.simulation.sensor_models import (
     measure,
 )
 from slave.simulation.tendon import SheathConfig, build_chain
-from teleop.config.arm import assemble_bend_partners, assemble_tendon_rows, list_lengths
+from teleop.config.arm import assemble_lengths, assemble_tendon_rows
 from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.messages.messages import MAX_JOINTS
 
@@ -140,14 +140,8 @@ class SimulatedRigConfig:
     def list_arm_lengths(self) -> list[float]:
         """Return the length of each tendon in an arm, behind its sheath [m]."""
         joints = number_joint_tendons([len(joint.tendons) for joint in self.joints])
-        moved = assemble_tendon_rows(self.arms, joints).travel != 0.0
-        first_bend = [
-            k if other < 0 else min(k, other)
-            for k, other in enumerate(assemble_bend_partners(self.arms, len(joints)))
-        ]
-        lengths, bends = list_lengths(self.arms, len(joints)), np.unique(first_bend)
-        in_use = [np.logical_or.reduce(moved[:, np.equal(first_bend, k)], axis=1) for k in bends]
-        return [float(length) for length in np.transpose(in_use) @ lengths[bends]]
+        travel = assemble_tendon_rows(self.arms, joints).travel
+        return [float(length) for length in assemble_lengths(self.arms, travel).sum(axis=1)]
 
 
 def validate_effects(effects: Sequence[EffectConfig], counts: Sequence[int]) -> None:

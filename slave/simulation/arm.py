@@ -57,9 +57,9 @@ from slave.simulation.space_contacts import (
 from teleop.config.arm import (
     LinkedArmConfig,
     assemble_bend_partners,
+    assemble_lengths,
     assemble_tendon_rows,
     find_guides,
-    list_lengths,
 )
 
 STOP_STIFFNESS = 1e6  # [N/m] of end stops and of stuck joints, soft enough to be solved
@@ -111,7 +111,7 @@ def build_arm(
     `axial_stiffness` [N] is that of each tendon.
     """
     rows, n = assemble_tendon_rows(configs, joints), len(joints)
-    friction, wrap, length = np.zeros(n), np.zeros(n), list_lengths(configs, n)
+    friction, wrap, lengths = np.zeros(n), np.zeros(n), assemble_lengths(configs, rows.travel)
     first = 0
     for config in configs:
         part = slice(first, first + config.joints)
@@ -143,7 +143,7 @@ def build_arm(
                 share = np.array([0.0, 1.0])
                 compliance[k, side, ends] += 0.5 * on_pin / stiffness
             shortening[k, side, ends] += np.outer(share, turned)
-            compliance[k, side, ends] += share * length[j] / stiffness
+            compliance[k, side, ends] += share * lengths[tendon, np.unique(bends)].sum() / stiffness
             last += count
         stretches[k, side] = last + 1
     most = stretches.max()

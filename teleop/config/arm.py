@@ -212,16 +212,20 @@ def find_space_joints(arms: Sequence[LinkedArmConfig]) -> tuple[tuple[int, int],
     return tuple(found)
 
 
-def list_lengths(arms: Sequence[LinkedArmConfig], joints: int) -> Array:
-    """Return the length [m] of tendon in an arm at each of a rig's `joints`; 0 for joints of none.
+def assemble_lengths(arms: Sequence[LinkedArmConfig], travel: Array) -> Array:
+    """Return the length of each tendon at each joint of arms [m], as `travel` of `TendonRows`.
 
-    The length at either bend of a curved section is that of the section.
+    That in a curved section is shared by the bends that move the tendon.
     """
-    lengths = []
+    lengths: list[float] = []
     for arm in arms:
         bends = [section.length for section in arm.sections for _ in range(2)]
         lengths += (bends + [arm.span] * arm.joints)[: arm.joints]
-    return np.array(lengths + [0.0] * (joints - len(lengths)))
+    joints = travel.shape[1]
+    partner, moves = np.array(assemble_bend_partners(arms, joints)), travel != 0.0
+    shared = moves & (partner >= 0) & moves[:, partner]
+    there = np.array(lengths + [0.0] * (joints - len(lengths)))
+    return np.asarray(np.where(moves, there, 0.0) / (1.0 + shared))
 
 
 def assemble_bend_partners(arms: Sequence[LinkedArmConfig], joints: int) -> list[int]:

@@ -77,11 +77,10 @@ def done(request, tmp_path_factory):
 
 def true_sheaths(config):
     """Return K and EA/L [N/m] of every tendon."""
-    tendons = [t for joint in config.rig.joints for t in joint.tendons]
-    for tendon, in_arm in zip(tendons, config.rig.list_arm_lengths(), strict=True):
+    for tendon in (t for joint in config.rig.joints for t in joint.tendons):
         sections = tendon.sheath.sections
         bend = sum(s.length / s.radius for s in sections)
-        length = sum(s.length for s in sections) + in_arm
+        length = sum(s.length for s in sections)
         yield tendon.sheath.friction * bend, tendon.sheath.axial_stiffness / length
 
 

@@ -10,6 +10,7 @@ from estimator.calibration.calibration import (
     calibrate,
     compute_friction_from_elongation,
 )
+from estimator.calibration.pattern import Tail
 from estimator.law.sheath import Section, Sheath
 from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
 from studies.brute_force.chain import Chain, Force, Position, Spring
@@ -273,23 +274,36 @@ def test_friction_that_depends_on_direction_is_noticed():
     assert not result.uniform or result.misfit > 1.5
 
 
-def test_guides_behind_the_sheath_are_not_taken_for_its_end():
-    """Little compliance of much friction: of guides, past which a yielding stop draws a tendon."""
-    guides = Section(0.012, 0.012 * 0.16 / 0.4)
-    sheath = Sheath((Section(0.6), Section(0.9, 0.9 * 0.16 / 0.7), guides), 0.16, 9000.0)
-    T, q = measured(record(sheath, 0.2, 20.0, 0.2, 20.0), 3)
-    alone, continued = (calibrate(T, q, is_continued=is_continued) for is_continued in (0, 1))
-    assert alone.K.value > 0.9
-    assert abs(continued.K.value - 0.7) < 2.0 * max(continued.K.uncertainty, 0.005)
-    assert continued.stiffness_per_length.value == pytest.approx(6000.0, rel=0.003)
-
-
-def test_a_stop_that_yields_far_behind_the_sheath_leaves_it_decided():
-    """As the three loops of an arm show it: nearly nothing at the guides, then a little."""
-    guides = (Section(6e-4, 6e-4 * 0.16 / 0.85), Section(4e-3, 4e-3 * 0.16 / 0.015))
-    sheath = Sheath((Section(0.6), Section(0.9, 0.9 * 0.16 / 0.7), *guides), 0.16, 9000.0)
-    loops = record(sheath, 0.2, 20.0, 0.2, 20.0, 0.2)
-    found = calibrate(*measured(loops, 2), is_continued=True)
+@pytest.mark.parametrize("releases", [1, pytest.param(3, marks=pytest.mark.slow)])
+def test_a_sheath_is_told_from_stretches_and_a_stop_behind_it(releases):
+    """A tendon that goes on past two guides of an arm, to a joint at a stop that yields."""
+    guides = [Section(1e-6, 1e-6 * 0.16 / friction) for friction in (0.15, 0.25)]
+    in_arm = (guides[0], Section(0.06), guides[1], Section(0.03 + 0.01))
+    sheath = Sheath((Section(0.6), Section(0.9, 0.9 * 0.16 / 0.7), *in_arm), 0.16, 9000.0)
+    T, q = measured(record(sheath, 0.2, *[20.0, 0.2] * releases), 3)
+    tail = Tail((0.06 / 1.5, 0.03 / 1.5), (0.15, 0.4), (0.0, 1.0))
+    alone, found = calibrate(T, q), calibrate(T, q, tail=tail)
+    assert alone.K.value > 0.8
     assert abs(found.K.value - 0.7) < 2.0 * max(found.K.uncertainty, 0.005)
-    stiffness = found.stiffness_per_length
-    assert abs(stiffness.value - 6000.0) < 2.0 * stiffness.uncertainty < 200.0
+    assert found.K.uncertainty < 0.03
+    assert found.stiffness_per_length.value == pytest.approx(6000.0, rel=0.004)
+    assert found.pattern.stop == pytest.approx(0.01 / 9000.0, rel=0.3)
+
+
+def test_friction_of_guides_that_is_not_quite_the_known_one_is_not_taken_for_a_bend_of_the_sheath():
+    """A tendon along a curved section of an arm, bent evenly, to a joint behind it."""
+    section, bend = Section(0.06, 0.06 * 0.16 / 0.25), Section(0.5, 0.5 * 0.16 / 0.35)
+    T, q = measured(
+        record(Sheath((Section(0.6), bend, section, Section(0.04)), 0.16, 9000.0), 1.0, 20.0, 1.0),
+        3,
+    )
+    share, depth = (
+        (0.06 / 8 / 1.1,) * 8 + (0.04 / 1.1,),
+        np.append(np.arange(0.5, 8) / 8, 1.0) * 0.23,
+    )
+    tail = Tail(share, tuple(depth.tolist()), (0.0,) * 9)
+    exact, found = calibrate(T, q, tail=tail), calibrate(T, q, tail=tail._replace(error=0.08))
+    assert len(found.pattern.ends) == 1 < len(exact.pattern.ends)
+    assert abs(exact.K.value - 0.35) > 4.0 * exact.K.uncertainty
+    assert abs(found.K.value - 0.35) < 2.0 * found.K.uncertainty < 0.003
+    assert found.stiffness_per_length.value == pytest.approx(9000.0 / 1.1, rel=0.002)

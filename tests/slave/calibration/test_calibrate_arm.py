@@ -191,13 +191,8 @@ def test_an_arm_is_calibrated_with_the_friction_of_its_passed_joint():
     _, result = calibrate_arm()
     for direction in result.calibration.directions:
         assert abs(direction.K.value - K) < 2.0 * direction.K.uncertainty
-        in_arm = 0.03 * direction.joint  # [m] of its tendons
-        stiffness, true = direction.stiffness_per_length, EA / (LENGTH + in_arm)
-        assert stiffness.uncertainty < 0.05 * true
-    for direction in result.calibration.directions:
-        in_arm = 0.03 * direction.joint  # [m] of its tendons
-        stiffness, true = direction.stiffness_per_length, EA / (LENGTH + in_arm)
-        assert abs(stiffness.value - true) < 2.0 * stiffness.uncertainty
+        stiffness, true = direction.stiffness_per_length, EA / LENGTH
+        assert abs(stiffness.value - true) < 2.0 * stiffness.uncertainty < 0.05 * true
     (guide,) = result.calibration.guides
     assert guide.joint == 1
     assert abs(guide.friction.value - MU) < 2.0 * guide.friction.uncertainty
