@@ -6,6 +6,7 @@ angles are known from the motors, the friction from the config; `estimator.routi
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.kinematics.arm import PreparedArm, prepare_arm
 from estimator.kinematics.forward import write_weight_torque
+from estimator.law.sheath import Sheath
 from estimator.routing.routing import PreparedRouting, Routing, prepare
 from estimator.routing.sheath_end import (
     SheathPair,
@@ -127,6 +129,21 @@ def build_routing(joints: Sequence[Sequence[int]], arms: Sequence[ArmConfig]) ->
         friction_error=max(arm.friction_error for arm in arms),
         angle_error=ANGLE_ERROR,
     )
+
+
+def cut_sheaths(
+    sheaths: Sequence[Sheath], joints: Sequence[Sequence[int]], arms: Sequence[ArmConfig]
+) -> list[Sheath]:
+    """Return the sheaths of tendons whose models go on straight by their lengths within arms."""
+    lengths = assemble_lengths(arms, assemble_tendon_rows(arms, joints).travel).sum(axis=1)
+    cut = []
+    for sheath, length in zip(sheaths, lengths, strict=True):
+        *sections, last = sheath.sections
+        if last.length - length > SPAN_MIN:
+            sections.append(replace(last, length=last.length - float(length)))
+        is_cut = sections and last.bend_angle == 0.0
+        cut.append(replace(sheath, sections=tuple(sections)) if is_cut else sheath)
+    return cut
 
 
 @jit_compile

@@ -19,7 +19,7 @@ from estimator.diagnosis import arm_model, arm_report
 from estimator.diagnosis.arm import ArmDiagnosis, diagnose_arm
 from estimator.law.sheath import Sheath
 from estimator.routing.routing import Routing
-from slave.arm_estimate import build_routing
+from slave.arm_estimate import build_routing, cut_sheaths
 from slave.config import AS_BUILT, SlaveConfig, load_tendon_configs
 from slave.rig import number_joint_tendons
 from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
@@ -131,9 +131,9 @@ def build_rig(shape: Shape, change: Change, seed: int) -> SimulatedRig:
     """Return the plant of an arm with a change."""
     rig = SimulatedRig(describe_rig(shape, change, seed))
     if change.kind == "friction":
-        friction = rig._arm.friction.copy()
-        friction[change.joint] *= FRICTION
-        rig._arm = rig._arm._replace(friction=friction)
+        arm = rig._arm
+        friction = np.where(arm.guide == change.joint, FRICTION, 1.0) * arm.friction
+        rig._arm = arm._replace(friction=friction)
     return rig
 
 
@@ -204,9 +204,10 @@ def describe_known(shape: Shape) -> tuple[Routing, list[Sheath], tuple[str, ...]
     config = SlaveConfig(rig=describe_rig(shape, Change(), 1), calibration=AS_BUILT)
     joints = number_joint_tendons([1 if k in shape.single else 2 for k in range(len(shape.radii))])
     names = tuple(f"{k}{'ab'[i]}" for k, own in enumerate(joints, 1) for i in range(len(own)))
-    routing = build_routing(joints, [ArmConfig(shape.radii, shape.friction, shape.wrap)])
-    sheaths = [tendon.build_model().sheath for tendon in load_tendon_configs(config, len(names))]
-    return routing, sheaths, names
+    arms = [ArmConfig(shape.radii, shape.friction, shape.wrap)]
+    tendons = load_tendon_configs(config, len(names))
+    sheaths = cut_sheaths([tendon.build_model().sheath for tendon in tendons], joints, arms)
+    return build_routing(joints, arms), sheaths, names
 
 
 def diagnose(shape: Shape, record: ArmRecord) -> ArmDiagnosis:

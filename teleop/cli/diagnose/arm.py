@@ -13,7 +13,7 @@ from estimator.diagnosis.arm_model import ArmData
 from estimator.diagnosis.record import RecordError
 from estimator.law.sheath import Sheath
 from estimator.routing.routing import Routing
-from slave.arm_estimate import build_routing
+from slave.arm_estimate import build_routing, cut_sheaths
 from slave.config import SlaveConfig, load_tendon_configs
 from teleop.cli import estimate
 from teleop.cli.html_page import Page, to_json_values
@@ -90,7 +90,8 @@ def run(args: argparse.Namespace, noise: dict[str, float]) -> int:
     progress = Progress()
     try:
         data = build_arm_data(tables, names, routing, sheaths)
-        diagnosis = diagnose_arm(data, routing, sheaths, noise=noise, report=progress)
+        in_sheaths = cut_sheaths(sheaths, joints, arms)
+        diagnosis = diagnose_arm(data, routing, in_sheaths, noise=noise, report=progress)
     except RecordError as error:
         raise UsageError(f"{args.data[0]}: {error}") from error
     finally:

@@ -28,6 +28,7 @@ def test_a_change_is_named_with_its_joint_or_tendon(change, words):
     assert arms.is_right(SHAPE, change, found)
     assert words in format_arm_summary(found)
     assert all(tendon.is_explained for tendon in found.tendons)
+    assert max(tendon.after["distal_displacement"] for tendon in found.tendons) < 2.4e-6  # noise
 
 
 def test_without_angles_and_anchor_tension_the_report_says_what_cannot_be_told():
