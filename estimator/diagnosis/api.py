@@ -197,7 +197,7 @@ def _add_forces(
         return diagnosis
     if diagnosis.dataset.base.law is not BaseLaw.CAPSTAN:
         return diagnosis
-    base_model, model = diagnosis.baseline.model, diagnosis.extended.model
+    base_model, model = diagnosis.baseline.model, diagnosis.live_model
     fitted_data = [item for item in data if not isinstance(item, Record)]
     forces = [
         compute_file_force(base_model, model, diagnosis.duration, item, validation=is_validation)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.diagnosis.dataset import Dataset, Fit, SimulatedRecord
+from estimator.diagnosis.dataset import Dataset, Fit, Model, SimulatedRecord
 from estimator.diagnosis.record import UNIT_SCALE, BenchScale, Record
 from estimator.diagnosis.residual_structure import ResidualDependence
 from estimator.diagnosis.scoring import Choice, SimpleFit, SimpleGain
@@ -21,6 +21,7 @@ from estimator.effects.effect import (
     Values,
 )
 from estimator.fitting import IntervalEstimate
+from estimator.online.extended_model import keeps_mean
 from estimator.signals.sampling import DataIssue
 from estimator.units import Units
 
@@ -287,6 +288,22 @@ class Diagnosis(NamedTuple):
     def units(self) -> Units:
         """Units of the records."""
         return self.dataset.records[0].units
+
+    @property
+    def has_idle_function(self) -> bool:
+        """Whether no loop follows its only effect, and the mean of that estimates no better live.
+
+        The mean of friction need not be the best constant K.
+        """
+        effects = [effect for effect, _ in self.extended.model.effects]
+        error = self.live_error
+        is_mean = len(effects) == 1 and keeps_mean(effects[0])
+        return is_mean and error is not None and error.without <= error.extended
+
+    @property
+    def live_model(self) -> Model:
+        """The model for the loop: the plain law with its own K in the place of an idle function."""
+        return (self.baseline if self.has_idle_function else self.extended).model
 
     @property
     def causes(self) -> tuple[str, ...]:

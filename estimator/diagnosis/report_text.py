@@ -194,8 +194,11 @@ def build_tables(
 def list_model_warnings(diagnosis: Diagnosis) -> list[str]:
     """Return whether the model is of no use live, and where one without a sheath is better."""
     warnings, tolerance = [], compute_tolerance(diagnosis.dataset)
-    if diagnosis.live_error is not None and diagnosis.live_error.is_worse:
-        warnings.append(f"{diagnosis.live_error.describe()}: `--model` refuses it.")
+    error = diagnosis.live_error
+    if error is not None and diagnosis.has_idle_function:
+        warnings.append(f"{error.describe()}: `model.yaml` has the plain law and its own K.")
+    elif error is not None and error.is_worse:
+        warnings.append(f"{error.describe()}: `--model` refuses it.")
     for channel, gain in diagnosis.simple_gain.items():
         errors, noise = diagnosis.after.held_out[channel], diagnosis.noise[channel]
         if gain.high < 0.0 and errors.rmse > SETTINGS.noise_ratio * tolerance[channel] * noise:

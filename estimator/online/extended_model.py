@@ -235,6 +235,13 @@ def apply_lasting_friction(physics: Physics, values: Values, effect: Effect) -> 
     return physics._replace(friction=physics.friction * (1.0 + f).clip(FRICTION_MIN).mean())
 
 
+def keeps_mean(effect: Effect) -> bool:
+    """Return whether an effect is friction by a variable that no loop follows: K has its mean."""
+    variable = effect.name.removeprefix("friction_by_")
+    is_followed = variable in _FUNCTION_VARIABLES or effect.name in FUNCTIONS_AT_END
+    return effect.function is not None and variable != effect.name and not is_followed
+
+
 def is_record_specific(effect: Effect) -> bool:
     """Return whether an effect is of something that happened in its record only."""
     if effect.file:
@@ -248,7 +255,7 @@ def is_record_specific(effect: Effect) -> bool:
 def explain_omission(effect: Effect) -> str:
     """Return why an effect does nothing in the loop, in words that can follow its name."""
     if effect.function is not None:
-        rest = "; K has its mean" if effect.name.startswith("friction") else ""
+        rest = "; K has its mean" if keeps_mean(effect) else ""
         return f"follows {effect.function.variable}, for which the loop has no correction{rest}"
     return OMISSION_REASONS.get(effect.name, _REASON_NEUTRAL)
 

@@ -60,8 +60,8 @@ class SavedModel(NamedTuple):
 
 
 def from_diagnosis(diagnosis: Diagnosis) -> SavedModel:
-    """Return what a diagnosis has found, to be saved."""
-    base, model = diagnosis.dataset.base, diagnosis.extended.model
+    """Return the model for the loop that a diagnosis has found, to be saved."""
+    base, model = diagnosis.dataset.base, diagnosis.live_model
     record = diagnosis.dataset.records[0]
     values = base.values(model.shared, np.mean(model.own, axis=0).tolist())
     names = [p.name for p in BASE_PARAMETERS.values() if p.name in values]
@@ -85,7 +85,7 @@ def from_diagnosis(diagnosis: Diagnosis) -> SavedModel:
         diagnosis.ambiguous_with,
         diagnosis.verdict is Verdict.UNEXPLAINED,
         transmission,
-        diagnosis.live_error,
+        None if diagnosis.has_idle_function else diagnosis.live_error,
     )
 
 

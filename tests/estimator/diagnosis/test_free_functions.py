@@ -23,6 +23,7 @@ from estimator.diagnosis.outcome import LiveError, Verdict
 from estimator.diagnosis.record import RecordError, prepare_record
 from estimator.diagnosis.scoring import Choice, compute_errors, compute_residual_fraction
 from estimator.diagnosis.settings import TimeBudget, ignore_progress
+from estimator.diagnosis.validation import compute_force_error
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import PROXIMAL_DISPLACEMENT, EffectContext
 from estimator.effects.functions import (
@@ -31,7 +32,9 @@ from estimator.effects.functions import (
     evaluate_function,
     find_function,
 )
+from estimator.measured_data import Samples
 from studies import hidden_effects
+from teleop.data import model_file
 
 FUNCTIONS = ("friction_by_position", "friction_by_rest_time", "elongation_by_tension")
 CAUSES = ("constant_drag", "viscous_friction")
@@ -78,6 +81,46 @@ def test_the_variable_and_its_curve_are_found():
     assert not any(name.startswith("friction_by") for name in found.parameters)
     assert found.ranking[0].name == "friction_by_position"  # of all that were tried
     assert {*CAUSES} <= {candidate.name for candidate in found.ranking}
+
+
+@pytest.mark.parametrize("extended_error", [0.4, 0.51])
+def test_the_loop_has_the_mean_of_a_cycle_or_the_friction_of_the_law(extended_error, tmp_path):
+    made = hidden_effects.make(3, (), bench="spring", duration=20.0, rate=50.0)
+    clean = diagnose_records([prepare_record(made.time, dict(made.channels))], [])
+    cycle = find_function("friction_by_phase"), (4.0, *np.tile([0.3, -0.1], 6).tolist())
+    with_mean = clean.baseline.model._replace(
+        shared=tuple(1.2 * value for value in clean.baseline.model.shared), effects=(cycle,)
+    )
+    found = clean._replace(
+        extended=clean.extended._replace(model=with_mean),
+        live_error=LiveError(0.5, extended_error),
+    )
+    model_file.save(tmp_path / "model.yaml", model_file.from_diagnosis(found), "")
+    model = model_file.load(tmp_path / "model.yaml").model
+    is_better = extended_error < 0.5
+    expected = with_mean if is_better else clean.baseline.model
+    assert [values for _, values in model.effects] == [values for _, values in expected.effects]
+    assert model.shared == pytest.approx(expected.shared)
+    assert report_text.list_model_warnings(found) == [] or not is_better
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bench", ["blocked", "spring"])
+def test_a_cycle_does_not_spoil_the_force_in_the_loop(bench):
+    made = hidden_effects.make(
+        2301, ("outside:friction_over_cycle",), bench=bench, duration=30.0, rate=50.0,
+        travel_noise=5e-7,
+    )  # fmt: skip
+    data = Samples(made.time, **made.channels)
+    found = diagnose(data, [find_function("friction_by_phase")])
+    assert found.causes == ("friction_by_phase",)
+    saved = model_file.from_diagnosis(found)
+    plain, live = (
+        compute_force_error(model, saved.duration, data).rmse
+        for model in (found.baseline.model, saved.model)
+    )
+    assert (live < 0.8 * plain) == (bench == "spring")
+    assert live <= plain
 
 
 def test_the_band_holds_the_curve_where_the_spline_cannot_follow_it():
