@@ -11,10 +11,12 @@ hypothesis scales all friction, or that of a third, by one of `FACTORS`, which b
 
 Evidence comes in pieces in which the elongation changes by that of `PIECE_TENSION`. While y(K_h)
 stays, h says that the tip rests: the travel changes by e_h. Afterwards the tip follows the motor,
-not the other way, most often by little. A piece that fits no hypothesis is ignored, and taken as
-a sign of a change. All weights decay towards the prior, by `HAZARD` and `DRIFT`; beyond that, the
-interval of K grows by `GROWTH` with the time since pieces last told K from others. A sensing loop
-in the tube, if there is one, measures K itself: `estimator.sensing_loop_friction`.
+not the other way, most often by little. Where it follows far, all that let it follow agree: such a
+piece tells nothing, unless the tip yields less than before, as where it meets something stiff, or
+where K has grown. A piece that fits no hypothesis, and one that fits K as estimated less than
+another, are signs of a change, too. All weights decay towards the prior, by `HAZARD` and `DRIFT`;
+beyond that, the interval of K grows by `GROWTH` with the time since pieces last told K from others.
+A sensing loop in the tube, if there is one, measures K itself: `estimator.sensing_loop_friction`.
 
 This holds for one tendon against a spring or an environment that yields to it. Where something else
 moves the tip, as the other tendon of a joint does, pieces contradict each other.
@@ -71,7 +73,8 @@ EVIDENCE_MAX = 8.0  # squared sigma by which a piece counts at most against a hy
 FOLLOW_COST, FOLLOW_TAILS = 0.5, 2.0
 STILL_SHARE = 1e-3  # of T_out: change up to which the tip rests
 HAZARD = 1.0 / 1200.0  # [1/s] of a sudden change
-HAZARD_CONTRADICTED = 0.02  # of a sudden change, by a piece that fits no hypothesis
+HAZARD_CONTRADICTED = 0.02  # of a sudden change, by a piece that is a sign of it
+STIFFENED = 0.9  # of the largest compliance at the tip: below, K may have grown
 DRIFT = 0.01  # [1/sqrt(s)] relative change of friction that grows slowly
 GROWTH = 0.02  # [1/s] of the interval of K, relative, since the last evidence: 40 % in 20 s
 APART = 0.12  # relative difference of K from those that evidence tells it from
@@ -132,6 +135,7 @@ class Adaptation(AdaptedFriction):
     begin_travel: F64 = 0.0  # [m]
     age: F64 = 0.0  # [s] of the piece
     direction: F64 = 0.0  # of the motor in it
+    tip_compliance: F64 = 0.0  # [m/N] the largest since evidence last told K from others
 
 
 class AdaptedRun(NamedTuple):
@@ -285,7 +289,7 @@ def observe(
     if not math.isnan(K):
         costs = ((1.0 - K / constants.K[:]) / LOOP_ACCURACY) ** 2
         age = state.evidence_age
-        _weigh(constants, state, costs, LOOP_TEMPER, LOOP_EVIDENCE_MAX)
+        _weigh(constants, state, costs, LOOP_TEMPER, LOOP_EVIDENCE_MAX, 0.0)
         # it may have another friction than the tendon: without pieces that agree, K is doubted
         state.evidence_age = age
     change = 0.0
@@ -382,28 +386,46 @@ def _add_evidence(
         if abs(after - before) > STILL_SHARE * before:
             cost = FOLLOW_COST + FOLLOW_TAILS * math.log1p(costs[h])
             costs[h] = cost if z * travel > 0.0 else max(cost, costs[h])
-    _weigh(constants, state, costs, TEMPER, EVIDENCE_MAX)
+    before = _interpolate(constants, state.begin_tension[:], state.K)
+    after = _interpolate(constants, state.tension[:], state.K)
+    compliance = (travel - change) / (after - before) if after != before else 0.0
+    _weigh(constants, state, costs, TEMPER, EVIDENCE_MAX, compliance)
 
 
 @jit_compile
 def _weigh(
-    constants: AdaptationConstants, state: Adaptation, costs: Array, temper: float, cost_max: float
+    constants: AdaptationConstants,
+    state: Adaptation,
+    costs: Array,
+    temper: float,
+    cost_max: float,
+    compliance: float,
 ) -> None:
-    """Update the posterior by what a piece costs each hypothesis [squared sigma]."""
-    least = costs.min()
+    """Update the posterior by what a piece costs each hypothesis [squared sigma].
+
+    `compliance` is that at the tip [m/N] if it follows, with K as estimated; else not positive.
+    """
+    least, near, apart = costs.min(), math.inf, math.inf
+    for h in range(FACTOR_COUNT):
+        if abs(constants.K[h] - state.K) > APART * state.K:
+            apart = min(apart, costs[h])
+        else:
+            near = min(near, costs[h])
     state.pieces += 1
     if least > MISFIT_MAX:
+        if compliance > STIFFENED * state.tip_compliance:
+            state.tip_compliance = max(state.tip_compliance, compliance)
+            return
         state.contradictions += 1
-        if not has_loop(constants, state):
-            _decay(state, HAZARD_CONTRADICTED, 0.0)
-    else:
+        near = math.inf
+    if not has_loop(constants, state):
+        _decay(state, HAZARD_CONTRADICTED * (1.0 - math.exp(0.5 * (least - near))), 0.0)
+    if least <= MISFIT_MAX:
         for h in range(HYPOTHESES):
             state.log_posterior[h] -= 0.5 * temper * min(costs[h] - least, cost_max)
-        distinction = cost_max
-        for h in range(FACTOR_COUNT):
-            if abs(constants.K[h] - state.K) > APART * state.K:
-                distinction = min(distinction, costs[h] - least)
-        state.evidence_age *= math.exp(-0.5 * temper * distinction)
+        kept = math.exp(-0.5 * temper * min(apart - least, cost_max))  # of what was unknown
+        state.evidence_age *= kept
+        state.tip_compliance *= kept
     _summarise(constants, state)
 
 

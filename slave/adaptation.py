@@ -147,8 +147,9 @@ def mute_monitors(
     """Drop what the monitors found of tendons whose K the adaptation can decide; set `decided`.
 
     It cannot after a time without pieces that fit, or close to the bounds of K; then the monitor
-    finds errors of the K in use. To end degraded mode K has to be as certain as one that has
-    settled: the posterior's interval holds the K in use, and that of the K in use is as narrow.
+    finds errors of the K in use. To end degraded mode, evidence has to have told K as well as that
+    of a settled shape, however the interval in use has grown since: the posterior's holds the K in
+    use and nothing far from it, and nothing speaks against it.
     """
     for k in range(layout.groups):
         group, adapts = layout.group[k], True
@@ -156,26 +157,24 @@ def mute_monitors(
             adapts = adapts and adapter.constants[group.tendon[n]].active
         for n in range(group.count if adapts else 0):
             i = group.tendon[n]
-            low, high, age = _get_interval(adapter.states[i])
+            low, high, doubt, age = _get_interval(adapter.states[i])
             if group.count == 2:
                 pair = adapter.pairs[k]
-                low, high, age = _get_interval(pair.a) if n == 0 else _get_interval(pair.b)
+                low, high, doubt, age = _get_interval(pair.a if n == 0 else pair.b)
             K, bounds = prepared[i].tables[_K], adapter.constants[i].K[:]
             is_inside = _is_inside(bounds, K)
             decided[i] = is_inside and age < UNDECIDED_S
             if decided[i] and is_degraded:
-                error = prepared[i].friction_error * K + max(
-                    prepared[i].K_below, prepared[i].K_above
-                )
-                decided[i] = low <= K <= high and error <= SETTLED_WIDTH * K
+                width = (SETTLED_WIDTH - doubt) * K
+                decided[i] = K - width <= low <= K <= high <= K + width
             if decided[i]:
                 monitors[i].count, monitors[i].force_error = 0, 0.0
 
 
 @jit_compile
-def _get_interval(state: AdaptedFriction) -> tuple[float, float, float]:
-    """Return the ends of the interval of K, and the time since the last evidence [s]."""
-    return state.low, state.high, state.evidence_age
+def _get_interval(state: AdaptedFriction) -> tuple[float, float, float, float]:
+    """Return the ends of the posterior's interval of K, its doubt, and the evidence's age [s]."""
+    return state.low, state.high, state.doubt, state.evidence_age
 
 
 @jit_compile

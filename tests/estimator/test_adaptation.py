@@ -13,7 +13,8 @@ from estimator.law.tables import build_tables
 from estimator.law.transmission import build_slack_profile, evaluate_tension, push_proximal
 from estimator.online import online
 from estimator.online.tendon_model import TendonModel
-from studies.adaptation import UNCHANGED, simulate_use
+from studies.adaptation import CHANGE_S as USE_CHANGE_S
+from studies.adaptation import EARLY_S, UNCHANGED, render, simulate_use
 
 RATE, CHANGE_S, DURATION_S = 200.0, 15.0, 50.0
 LENGTH, EA, NODES, SPRING = 1.5, 9000.0, 45, 1500.0
@@ -100,6 +101,21 @@ def test_minutes_of_use_with_tremor_are_no_change_of_shape():
     run = run_adapting(use.models[0], use.time, T, q)
     assert run.pieces > 1000
     assert run.adapted_from == -1
+
+
+def test_a_tip_that_follows_far_does_not_open_the_interval():
+    use = simulate_use(36, pair=False)
+    run = run_adapting(use.models[0], use.time, use.tension[:, 0].copy(), use.travel[:, 0].copy())
+    early = (use.time > EARLY_S) & (use.time < USE_CHANGE_S)
+    assert run.contradictions < 0.2 * run.pieces  # of 379, it follows far in 246
+    assert ((run.K_high - run.K_low) / run.K)[early].mean() < 0.4
+
+
+def test_a_tip_that_stops_as_friction_jumps_gives_the_hand_hardly_too_much():
+    use = simulate_use(108, pair=False)  # K grows by 23 % in 0.2 s while the tip follows
+    run = run_adapting(use.models[0], use.time, use.tension[:, 0].copy(), use.travel[:, 0].copy())
+    excess = (render(run.estimates) - use.tip[:, 0])[use.time > EARLY_S]
+    assert excess.max() < 0.1 * use.tip.max()
 
 
 def test_a_tip_that_moves_by_itself_is_no_change_of_shape():

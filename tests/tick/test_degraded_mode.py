@@ -73,7 +73,7 @@ def test_as_configured_before_it_ends_the_session() -> None:
         pytest.param(  # the sheath is as calibrated again
             False, (0.4, 1.0 / 1.4 - 1.0), (9.0, 24.0), 42.0, marks=pytest.mark.slow
         ),
-        (True, (1.6, -0.5), (6.0, 27.0), 44.0),  # beyond what adaptation decides, and within
+        (True, (1.2, -0.45), (6.0, 27.0), 44.0),  # beyond what adaptation decides, and within
     ],
     ids=["back as calibrated", "adapted"],
 )

@@ -61,8 +61,6 @@ def test_only_a_tip_that_something_else_moves_leaves_adaptation_undecided(
         use.travel[:] += np.cumsum(noise, axis=0) / np.sqrt(RATE)
     words = write_use(tmp_path, use)
     assert commands.main(words) == 0
-    adaptation = json.loads(Path(words[-1]).read_text())["adaptation"]
-    assert 2 * adaptation["contradictions"] > adaptation["pieces"]
     assert ("adaptation cannot decide" in capsys.readouterr().out) is is_moved
 
 
