@@ -5,7 +5,12 @@ import pytest
 
 from estimator.law.sheath import Sheath
 from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
-from estimator.lumped.lumped_model import Physics, simulate_by_tension, simulate_by_travel
+from estimator.lumped.lumped_model import (
+    DrivenTendon,
+    Physics,
+    simulate_by_tension,
+    simulate_by_travel,
+)
 from estimator.lumped.nodes import PLACES, build_even_weights
 from studies.brute_force.chain import Chain, Force, Position, Spring
 
@@ -186,3 +191,13 @@ def test_whatever_it_does_the_motor_is_where_it_is_and_a_slack_tendon_pulls_noth
     assert (done.proximal_tension[travel < -1e-4] < 1e-6).all()
     plain = simulated(travel, tip_compliance=4e-4)
     assert np.std(done.proximal_tension - plain.proximal_tension) > 0.005
+
+
+@pytest.mark.parametrize("effect", [{}, {"asymmetry": 1.3}, {"creep": 0.1}, {"mass": 0.3}])
+def test_what_a_step_keeps_for_the_next_changes_no_bit(effect):
+    driven = physics(tip_compliance=4e-4, **effect)
+    travel = nested(5e-3) - 3e-4
+    at_once = DrivenTendon(driven, TIME).drive_by_travel(travel, 0)
+    tendon = DrivenTendon(driven, TIME)
+    one_by_one = [tendon.drive_by_travel(travel[: i + 1], i)[0] for i in range(len(TIME))]
+    np.testing.assert_array_equal(one_by_one, at_once)
