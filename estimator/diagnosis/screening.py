@@ -53,8 +53,10 @@ HALVINGS = 3  # of a linear step that leads uphill
 SLOPE_MIN = 1e-3  # of the steepest, of a direction that a linear step may go in
 ROUNDS = (4, 6)  # of the first fits, on subsampled records
 FINAL_ROUNDS = 25  # rounds of the last fit, on whole records
-# after these: of the cost without the effect, above which it is not finished, and
+# which of the first fits are finished: of at most that share of the cost without the effect, and
 FINISH_SHARE = 0.95
+# of so many times the least cost at most, or so much of the best score
+FINISH_COST_RATIO, FINISH_SCORE_SHARE = 2.0, 0.5
 QUICK_RATIO = 3.0  # times the error of a finished fit that a quick one may leave
 RESTART_COST_RATIO_MAX = 1.1  # of a quick fit on all samples to the best: it is followed
 AMPLITUDE_RATIO_MAX = 6.0  # times a start's amplitude that a linear step may go
@@ -180,10 +182,13 @@ def fit_candidates(
             if candidate.cost < cost_ratio_max * best[0].cost
         ]
     cost_max = FINISH_SHARE * compute_cost(subsampled, subsampled_fit)
+    scores = [score_candidate(subsampled, law_errors, candidate) for candidate in best]
+    score_min = FINISH_SCORE_SHARE * max(scores, default=0.0)
     finished = [
         candidate
-        for candidate in best
+        for candidate, score in zip(best, scores, strict=True)
         if candidate.cost < min(cost_max, cost_ratio_max * best[0].cost)
+        and (score > score_min or candidate.cost < FINISH_COST_RATIO * best[0].cost)
         and is_within_tolerance(subsampled, candidate.held_out, QUICK_RATIO * tolerance_ratio_max)
     ]
     # by the last of these fits: the first ones still fall
