@@ -9,6 +9,7 @@ judged by the same scores.
 import itertools
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -211,11 +212,32 @@ def _penalise(start: _Screened, density: float) -> Effect:
 
 def _compute_penalty_rows(step: _LinearStep, roughness: float, mean: float) -> Array:
     """Return the derivatives of the penalty by each coefficient, in its step."""
-    columns = (
-        compute_penalty((*step.shapes, *row), step.effect, roughness, mean)
-        for row in _build_units(step.effect)
+    by_roughness, by_mean = (
+        _build_penalty_rows(step.effect, *of) for of in ((1.0, 0.0), (0.0, 1.0))
     )
+    return np.asarray(roughness * by_roughness + mean * by_mean)
+
+
+@lru_cache
+def _build_penalty_rows(effect: Effect, roughness: float, mean: float) -> Array:
+    columns = (compute_penalty(tuple(row), effect, roughness, mean) for row in _build_units(effect))
     return np.column_stack(list(columns))
+
+
+def _place_bumps(duration: float) -> Array:
+    """Return when bumps in a record are [s] from its begin."""
+    return np.asarray(duration / BUMPS * (np.arange(BUMPS) + 0.5), dtype=np.float64)
+
+
+@lru_cache(maxsize=1)
+def _weigh_bumps(duration: float) -> list[tuple[float, Array]]:
+    """Return the periods of a cycle [s], and what each bump is in a function of its phase."""
+    by_phase = next(
+        effect for effect in FUNCTIONS if effect.function and effect.function.is_periodic
+    )
+    periods = [duration / n for n in np.arange(PERIODS_MIN, PERIODS_MAX, FREQUENCY_STEP).tolist()]
+    zero, centres = COEFFICIENTS * [0.0], _place_bumps(duration)
+    return [(period, compute_basis(by_phase, (period, *zero), centres)) for period in periods]
 
 
 def _build_units(effect: Effect) -> list[list[float]]:
@@ -279,8 +301,7 @@ class _Screening:
         name = effect.name.replace("_by_phase", "_by_time")
         over_time = next(function for function in FUNCTIONS if function.name == name)
         duration = float(np.ptp(self._dataset.records[0].time))
-        spacing = duration / BUMPS
-        centres = np.asarray(spacing * (np.arange(BUMPS) + 0.5), dtype=np.float64)
+        spacing, centres = duration / BUMPS, _place_bumps(duration)
         bump = COEFFICIENTS * [0.0]
         bump[COEFFICIENTS // 2] = effect.parameters[-1].step
         # the coefficient's spline has its middle so many intervals from either end of the range
@@ -297,19 +318,13 @@ class _Screening:
         own = self._project(changes)
         information, slope = own.T @ own, own.T @ self._residual
 
-        def weigh_bumps(frequency: float) -> Array:
-            return compute_basis(effect, (1.0 / frequency, *COEFFICIENTS * [0.0]), centres)
-
-        periods = np.arange(PERIODS_MIN, PERIODS_MAX, FREQUENCY_STEP, dtype=np.float64)
-        frequencies = periods / duration
-        weights = map(weigh_bumps, frequencies.tolist())
-        gain = np.array([_compute_gain(W.T @ information @ W, W.T @ slope) for W in weights])
+        cycles = _weigh_bumps(duration)
+        gain = np.array([_compute_gain(W.T @ information @ W, W.T @ slope) for _, W in cycles])
         edged = np.concatenate([[0.0], gain, [0.0]])
         peaks = np.flatnonzero((gain >= edged[:-2]) & (gain > edged[2:]))
-        likely = frequencies[peaks[np.argsort(-gain[peaks])[: PERIODS_TRIED[0]]]]
+        likely = [cycles[k] for k in peaks[np.argsort(-gain[peaks])[: PERIODS_TRIED[0]]]]
         steps = itertools.chain.from_iterable(
-            self._build_steps(effect, (1.0 / frequency,), changes @ weigh_bumps(frequency))
-            for frequency in likely.tolist()
+            self._build_steps(effect, (period,), changes @ W) for period, W in likely
         )
         return sorted(steps, key=lambda step: -self.smooth(step).score)[: PERIODS_TRIED[1]]
 
