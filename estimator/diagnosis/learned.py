@@ -32,7 +32,7 @@ _HALF_WIDTHS = (0.002, 0.007, 0.02, 0.05, 0.1, 0.2, 0.35)  # of plays, of the dr
 _FRICTIONS = (0.1, 0.3, 0.6, 1.0, 1.6)  # K of plays in proportion to a tension
 _DELAYS = (0.05, 0.2, 1.0, 4.0)  # [s] since which the drive's change is a feature
 _REVERSAL = 0.003  # of the drive's range, that counts as a reversal
-_TREES = 80
+_TREES, _LEARNING_RATE = 40, 0.2
 _SAMPLES_MAX = 5000  # that trees are fitted to
 _INNER_PART = 3  # one block in so many of a fitted half says how many trees to keep
 
@@ -52,7 +52,7 @@ def fit_learned_models(folds: Sequence[Fold]) -> tuple[SimpleFit, ...]:
 
     def build_trees(count: int) -> Any:
         return HistGradientBoostingRegressor(
-            learning_rate=0.1, max_iter=count, max_leaf_nodes=12, early_stopping=False
+            learning_rate=_LEARNING_RATE, max_iter=count, max_leaf_nodes=12, early_stopping=False
         )
 
     with threadpool_limits(1, "openmp"):  # for few samples threads cost more than they share
