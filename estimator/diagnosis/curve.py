@@ -10,7 +10,7 @@ from estimator.diagnosis.fit import ParameterLayout, compute_jacobian
 from estimator.diagnosis.intervals import estimate_residual_variance
 from estimator.diagnosis.outcome import Curve
 from estimator.effects.effect import EffectContext
-from estimator.effects.functions import COEFFICIENTS, compute_basis, evaluate_function
+from estimator.effects.functions import compute_basis, evaluate_function, split_values
 from estimator.fitting import COVERAGE_FACTOR, compute_correlation_time
 from estimator.units import Units, format_quantity
 
@@ -27,17 +27,18 @@ def estimate_curve(dataset: Dataset, contexts: Sequence[EffectContext], fit: Fit
     for effect, values in fit.model.effects:
         if (term := effect.function) is None:
             continue
-        shapes = values[:-COEFFICIENTS]
+        shapes, coefficients = split_values(effect, values)
         ends = (0.0, shapes[0]) if term.is_periodic else shapes
         x = np.linspace(ends[0], ends[1], CURVE_POINTS)
-        first = names.index(f"{effect.name}.{effect.parameters[-COEFFICIENTS].name}")
+        first = names.index(f"{effect.name}.{effect.parameters[len(shapes)].name}")
         J = compute_jacobian(dataset, contexts, fit)
         residual = compute_residual(dataset, fit)
         variance = max(
             estimate_residual_variance(residual, J.shape[1]),
             _estimate_memory(dataset, fit) * float(np.mean(residual**2)),
         )
-        spread = np.linalg.pinv(J)[first : first + COEFFICIENTS] * effect.parameters[-1].step
+        columns = slice(first, first + len(coefficients))
+        spread = np.linalg.pinv(J)[columns] * effect.parameters[-1].step
         basis = compute_basis(effect, values, x)
         centred = basis - basis.mean(axis=0)
         value = evaluate_function(effect, values, x)

@@ -51,6 +51,7 @@ from estimator.effects.functions import (
     compute_basis,
     compute_penalty,
     penalise,
+    split_values,
 )
 
 SUBSAMPLE_SIZE = 1200  # samples of a record in a first look
@@ -75,9 +76,9 @@ class _LinearStep(NamedTuple):
 
     effect: Effect
     shapes: tuple[float, ...]
-    changes: Array  # of the residual by each coefficient, in its step, (n, COEFFICIENTS)
-    information: Array  # of the coefficients, (COEFFICIENTS, COEFFICIENTS)
-    slope: Array  # of half the cost, (COEFFICIENTS,)
+    changes: Array  # of the residual by each coefficient, in its step, (n, coefficients)
+    information: Array  # of the coefficients, (coefficients, coefficients)
+    slope: Array  # of half the cost, (coefficients,)
     gain: float  # by which the cost would fall at most
 
 
@@ -201,7 +202,8 @@ def _set_last_effect(model: Model, effect: Effect) -> Model:
 def _set_coefficients(model: Model, base: Model) -> Model:
     """Return a base model with the last effect of another one, its function at zero."""
     effect, values = model.effects[-1]
-    zero = (*values[:-COEFFICIENTS], *(COEFFICIENTS * [0.0]))
+    shapes, coefficients = split_values(effect, values)
+    zero = (*shapes, *(len(coefficients) * [0.0]))
     return base._replace(effects=(*base.effects, (effect, zero)))
 
 
@@ -242,16 +244,17 @@ def _weigh_bumps(duration: float) -> list[tuple[float, Array]]:
 
 def _build_units(effect: Effect) -> list[list[float]]:
     """Return coefficients of which one is a step of its parameter and the others are zero."""
-    units: list[list[float]] = (effect.parameters[-1].step * np.eye(COEFFICIENTS)).tolist()
+    coefficients = split_values(effect, effect.parameters)[1]
+    units: list[list[float]] = (coefficients[0].step * np.eye(len(coefficients))).tolist()
     return units
 
 
 def _compute_gain(A: Array, b: Array) -> float:
     """Return by how much coefficients of information `A` and slope `b` lower the cost."""
-    power = float(np.trace(A)) / COEFFICIENTS
+    power = float(np.trace(A)) / len(A)
     if power < POWER_MIN:
         return 0.0
-    return float(b @ np.linalg.solve(A + ROUGHNESSES[0] * power * np.eye(COEFFICIENTS), b))
+    return float(b @ np.linalg.solve(A + ROUGHNESSES[0] * power * np.eye(len(A)), b))
 
 
 class _Screening:
@@ -351,7 +354,7 @@ class _Screening:
 
     def _find_smoothness(self, step: _LinearStep) -> _Screened:
         effect, shapes, term = step.effect, step.shapes, step.effect.function
-        power = float(np.trace(step.information)) / COEFFICIENTS
+        power = float(np.trace(step.information)) / len(step.information)
         mean = math.sqrt(MEAN_WEIGHTS[bool(term and term.has_zero)] * power)
 
         def simulate_share(share: float, roughness: float) -> _Screened:
@@ -378,6 +381,6 @@ class _Screening:
     def _build_model(self, effect: Effect, shapes: tuple[float, ...], c: Array, F: Array) -> Model:
         shift = -(self._solve @ (self._residual + F @ c))
         model = shift_parameters(self._dataset, self._fit.model, shift)
-        bounds = [(p.low, p.high) for p in effect.parameters[-COEFFICIENTS:]]
+        bounds = [(p.low, p.high) for p in effect.parameters[len(shapes) :]]
         limited = np.clip(c * effect.parameters[-1].step, *np.transpose(bounds)).tolist()
         return model._replace(effects=(*model.effects, (effect, (*shapes, *limited))))

@@ -8,7 +8,7 @@ stays as at its end. `diagnosis.function_search` fits and judges these effects.
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -29,10 +29,13 @@ from estimator.online.reading_correction import CURVE_ITERATIONS, CorrectionKind
 from estimator.spline import evaluate_spline
 
 COEFFICIENTS = 12
+SPEED_COEFFICIENTS = 20  # of two directions: a hump may be a quarter of the highest speed wide
 SHRINKAGE = 0.1  # weight of each coefficient over that of their mean
 FRICTION_MIN = 0.05  # share of K that a function leaves at least
 _REST_SPEED_RATIO = 0.02  # of a high speed, below which the drive rests
 _EVERYWHERE = 1e6  # bound of where a variable's range ends
+
+T = TypeVar("T")
 
 # --- variables
 
@@ -48,6 +51,7 @@ class Variable(NamedTuple):
     experiment: str  # that would confirm it
     is_warped: bool = False  # knots are even in the signed square root
     needs_travel: bool = False
+    coefficients: int = COEFFICIENTS
 
 
 def _compute_path(context: EffectContext) -> Array:
@@ -92,6 +96,7 @@ VARIABLES = (
         "the same swing at three speeds, each direction by itself",
         is_warped=True,
         needs_travel=True,
+        coefficients=SPEED_COEFFICIENTS,
     ),
     Variable(
         "time",
@@ -167,12 +172,18 @@ def _compute_share(term: FunctionTerm, values: Values, x: Array) -> Array:
     return np.clip((x - low) / max(high - low, 1e-12), 0.0, 1.0)
 
 
+def split_values(effect: Effect, values: tuple[T, ...]) -> tuple[tuple[T, ...], tuple[T, ...]]:
+    """Return the ends of the range or the period of an effect's function, and its coefficients."""
+    count = 1 if effect.function is not None and effect.function.is_periodic else 2
+    return values[:count], values[count:]
+
+
 def evaluate_function(effect: Effect, values: Values, x: Array) -> Array:
     """Return the function of an effect at values of its variable, shape (n,)."""
     term = effect.function
     if term is None:
         raise ValueError(f"{effect.name}: has no free function")
-    c = np.array(values[-COEFFICIENTS:])
+    c = np.array(split_values(effect, values)[1])
     share = _compute_share(term, values, np.asarray(x, dtype=np.float64))
     return evaluate_spline(np.concatenate([c, c[:3]]) if term.is_periodic else c, share)
 
@@ -185,9 +196,9 @@ def _evaluate_in(effect: Effect, values: Values, context: EffectContext) -> Arra
 
 
 def compute_basis(effect: Effect, values: Values, x: Array) -> Array:
-    """Return the derivatives of the function by its coefficients, shape (n, COEFFICIENTS)."""
-    shapes = values[:-COEFFICIENTS]
-    unit_rows = (tuple(row) for row in np.eye(COEFFICIENTS).tolist())
+    """Return the derivatives of the function by its coefficients, shape (n, coefficients)."""
+    shapes, coefficients = split_values(effect, values)
+    unit_rows = (tuple(row) for row in np.eye(len(coefficients)).tolist())
     return np.column_stack([evaluate_function(effect, (*shapes, *row), x) for row in unit_rows])
 
 
@@ -205,7 +216,7 @@ def compute_penalty(values: Values, effect: Effect, roughness: float, mean: floa
     term = effect.function
     if term is None:
         return np.empty(0)
-    c = np.array(values[-COEFFICIENTS:]) / effect.parameters[-1].step
+    c = np.array(split_values(effect, values)[1]) / effect.parameters[-1].step
     ends = np.concatenate([c[-1:], c, c[:1]]) if term.is_periodic else c
     return np.concatenate(
         [roughness * np.diff(ends, 2), [mean * float(c.mean())], SHRINKAGE * mean * c]
@@ -330,12 +341,12 @@ def _build_function(target: _Target, x: Variable) -> Effect:
         )
     )
     coefficients = tuple(
-        target.coefficient._replace(name=f"c{k}") for k in range(1, COEFFICIENTS + 1)
+        target.coefficient._replace(name=f"c{k}") for k in range(1, x.coefficients + 1)
     )
     effect = Effect(
         name=f"{target.key}_by_{x.key}",
         cause=f"{target.words} depends on {x.words}",
-        equation=f"{target.equation}, f a cubic B-spline of {x.words} with {COEFFICIENTS} "
+        equation=f"{target.equation}, f a cubic B-spline of {x.words} with {x.coefficients} "
         "coefficients",
         parameters=(*shapes, *coefficients),
         source="no law: a penalised spline, Eilers and Marx 1996",

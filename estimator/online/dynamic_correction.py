@@ -45,7 +45,7 @@ STRETCH_MAX = 1.0  # [m] that effects stretch a tendon
 REST_SPEED = 2e-5  # [m/s] of the motor, below which it rests, and below ...
 REST_SPEED_RATIO = 0.02  # ... this share of the highest of late, as in effects.functions
 HIGH_SPEED_TIME_CONSTANT = 300.0  # [s] over which that is forgotten
-COEFFICIENTS = 12  # of a free function
+COEFFICIENTS_MAX = 20  # of a free function
 FRICTION_SHARE_MIN = 0.05  # that a free function leaves of K at least
 
 
@@ -69,7 +69,8 @@ class FunctionConstants(Struct):
     high: F64 = 0.0
     spread: F64 = 0.0  # of its values, by which friction may be off beyond that range
     peak: F64 = math.inf  # of its absolute values; infinite beside other effects
-    coefficients: Annotated[Array, Field("f8", COEFFICIENTS)]
+    count: I64 = COEFFICIENTS_MAX  # of its coefficients
+    coefficients: Annotated[Array, Field("f8", COEFFICIENTS_MAX)]
 
 
 class FunctionState(Struct):
@@ -230,7 +231,9 @@ def update_function(
     state.is_outside = not low <= x <= high
     if function.is_warped:
         x, low, high = _warp(x), _warp(low), _warp(high)
-    state.value = evaluate_spline_at(function.coefficients[:], (x - low) / (high - low))
+    state.value = evaluate_spline_at(
+        function.coefficients[: function.count], (x - low) / (high - low)
+    )
     return state.value
 
 

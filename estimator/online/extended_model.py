@@ -23,7 +23,7 @@ from estimator.effects.effect import (
     EffectContext,
     Values,
 )
-from estimator.effects.functions import COEFFICIENTS, FRICTION_MIN, evaluate_function
+from estimator.effects.functions import FRICTION_MIN, evaluate_function, split_values
 from estimator.law.sheath import Section, Sheath
 from estimator.lumped.lumped_model import Physics
 from estimator.lumped.nodes import EDGES, build_even_weights
@@ -210,6 +210,7 @@ def _build_function(
 ) -> FunctionConstants:
     """Return a free function for the loop."""
     grid = evaluate_function(effect, values, np.linspace(values[0], values[1], INSTANT_COUNT))
+    coefficients = split_values(effect, values)[1]
     constants = FunctionConstants.new(
         variable=int(variable),
         stretches=effect.name.startswith("elongation"),
@@ -218,8 +219,9 @@ def _build_function(
         high=values[1],
         spread=float(np.ptp(grid)),
         peak=float(np.abs(grid).max()),
+        count=len(coefficients),
     )
-    constants.coefficients[:] = values[-COEFFICIENTS:]
+    constants.coefficients[: len(coefficients)] = coefficients
     return constants
 
 

@@ -140,6 +140,7 @@ def test_the_band_holds_the_curve_where_the_spline_cannot_follow_it():
     ("variable", "seed"),
     [
         ("speed", 826),  # one half of long blocks lacks some speeds
+        ("speed", 832),  # a hump of a quarter of the highest speed
         pytest.param("speed", 301, marks=pytest.mark.slow),
         pytest.param("path", 301, marks=pytest.mark.slow),
     ],

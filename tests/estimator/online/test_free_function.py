@@ -34,7 +34,7 @@ def fitted(name, x, f):
     """Return an effect with the function that is nearest to `f` at `x`."""
     effect = find_function(name)
     shapes = (float(x.min()), float(x.max()))
-    basis = compute_basis(effect, (*shapes, *(12 * [0.0])), x)
+    basis = compute_basis(effect, (*shapes, *((len(effect.parameters) - 2) * [0.0])), x)
     return effect, (*shapes, *np.linalg.lstsq(basis, f, rcond=None)[0].tolist())
 
 

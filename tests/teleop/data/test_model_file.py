@@ -112,6 +112,6 @@ def test_a_function_without_a_range_and_a_second_one_are_refused(tmp_path, tree)
     place = "effects.0.parameters: from 0.01, must be below to"
     assert refusal(tmp_path, tree) == place
     numbers["to"] = 0.02
-    tree["effects"] = [function, {**function, "name": "elongation_by_speed"}]
+    tree["effects"] = [function, {**function, "name": "elongation_by_position"}]
     tree["effects"][1]["parameters"] = numbers | dict.fromkeys(names, 1e-3)
     assert refusal(tmp_path, tree).endswith("one function at most is run")
