@@ -483,12 +483,12 @@ def compute_excess(
 ) -> None:
     """Write how much more tendons stretch behind their sheaths than at the tension there [m].
 
-    `tensions` [N] are those of all rows, `elements` those of the step.
+    `tensions` [N] are those of all rows, `elements` those of the step. Zero if they are not finite.
     """
     for tendon in range(len(prepared.first) - 1):
         begin, end = prepared.first[tendon], prepared.first[tendon + 1]
         out_excess[tendon] = 0.0
-        for e in range(begin + 1, end):
+        for e in range(begin + 1, end if math.isfinite(tensions[begin]) else begin):
             out_excess[tendon] += elements.compliance[e] * (tensions[e] - tensions[begin])
 
 

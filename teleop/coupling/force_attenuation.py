@@ -47,9 +47,10 @@ MARGIN_MIN = 0.05
 class ConfidenceConfig:
     """Range of the interval's relative width over which an estimate is attenuated."""
 
-    # d over |force| up to which the full estimate is rendered
+    # half the interval's width, or more if its end towards zero is further off, over |force|
+    # up to which the full estimate is rendered
     full: float = build_ranged_field(0.5, 0.0, 1e3)
-    # d over |force| from which on only the certain force is rendered
+    # the same from which on only the certain force is rendered
     none: float = 1.5
 
     def __post_init__(self) -> None:

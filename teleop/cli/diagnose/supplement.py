@@ -91,7 +91,8 @@ FORMULAS = {
     "antagonist_tension": r"T(K) = q_d/c + \mathrm{tension}\,(e^{\sigma} - 1), \quad"
     r" -K_2 \leq \sigma \leq K_2",
     "tip_inertia": r"T(K) = q_d/c + \mathrm{damping}\;\dot q_d + \mathrm{mass}\;\ddot q_d",
-    "link_gravity": r"T(K) = q_d/c + \mathrm{sine}\,\sin q_p + \mathrm{cosine}\,\cos q_p",
+    "link_gravity": r"T(K) = q_d/c + \mathrm{sine}\,\sin q_p + \mathrm{cosine}\,\cos q_p - w\,q_p,"
+    r" \quad w^2 = \mathrm{sine}^2 + \mathrm{cosine}^2",
     "tip_moved (and left it there)": r"q_d = c\,T(K) + \mathrm{size}\cdot"
     r"[\,t \geq \mathrm{onset}\,]",
     "tip_moved (and took it back)": r"q_d = c\,T(K) + \mathrm{size}\cdot"

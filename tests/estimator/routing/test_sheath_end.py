@@ -137,6 +137,18 @@ def test_a_pair_shows_that_its_tips_move_before_either_tendon_slides_through(sti
     assert np.abs(alone - true).max() > 4.0  # the tip has moved, and T_in does not tell
 
 
+def test_a_sample_that_is_not_finite_leaves_the_next_ones_finite():
+    arm = PairInArm(prepare(TendonModel(SHEATH, initial=PRETENSION)), SPAN)
+    arm.turn(1e-4)
+    arm.tensions[0] = np.inf  # as `advance` leaves them
+    compute_excess(arm.routing, begin_advance(arm.routing, arm.tensions, arm.angles, arm.angles),
+                   arm.tensions[0], arm.excess)  # fmt: skip
+    assert arm.excess.tolist() == [0.0, 0.0]
+    for travel in (2e-4, 3e-4):
+        assert np.isfinite(arm.turn(travel)).all()
+        assert np.isfinite(arm.excess).all()
+
+
 def test_tips_that_stick_keep_their_tension_while_the_motors_sway():
     """By less than friction holds back; noise of the load cells is no motion of the tips."""
     noise, random = 0.02, np.random.default_rng(7)
