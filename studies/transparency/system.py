@@ -102,6 +102,8 @@ class Answer(NamedTuple):
     load: float  # [N] true, on the tip
     commanded: float = 0.0  # [m] of the tip by the master
     followed: float = 0.0  # [m] where the slave sent it; NaN while it is not engaged
+    credit_hand: float = 0.0  # [J] of the master's port
+    credit_tip: float = 0.0  # [J] of the slave's
     engaged: bool = True  # whether forces may be rendered
 
 
@@ -232,6 +234,8 @@ class Teleoperator:
             self._rig.load(),
             float(self._command.record.position[0]),
             followed,
+            float(master.coupling.ports[0].credit),
+            float(slave.coupling.ports[0].credit),
             bool(master.session.state == slave.session.state == State.ENGAGED),
         )
 

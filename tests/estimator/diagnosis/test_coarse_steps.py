@@ -115,5 +115,5 @@ def test_the_search_ends_early_where_no_quick_fit_makes_a_tendon_of_the_data(mon
         fit_all=False,
     )
     assert result.steps == []
-    assert rounds == np.repeat(screening.ROUNDS, 2).tolist()  # none is finished
+    assert set(rounds) == set(screening.ROUNDS)  # none is finished
     assert result.first_candidates
