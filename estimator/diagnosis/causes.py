@@ -55,6 +55,7 @@ RESTART_ROUNDS = (0.0, 0.5), (0.5, 1.0)  # shares of that search in which furthe
 SAME_COST_TOLERANCE = 0.01  # relative: effects whose costs differ by less do the same
 RESIDUAL_FRACTION_MAX = 0.5  # share of the error beyond noise that hidden motion may leave
 FUNCTION_SEARCHES = 1  # that further causes leave time for: a function says more
+RESTART_SEARCHES = 1  # the same of a search from another first cause: it may take twice as long
 
 # --- causes that later causes make redundant, or whose size may be zero
 
@@ -381,7 +382,7 @@ def _restart_from_other_cause(result: CauseSearchResult, search: CauseSearch) ->
     for begin, end in RESTART_ROUNDS:
         if _is_explained(restarted) or _is_within_model_error(restarted):
             break
-        if not search.budget.has_time("other first causes"):
+        if not search.budget.has_time("other first causes", RESTART_SEARCHES):
             break
         candidates = _fit_next_candidates(restarted, search.report_between(begin, end))
         step = find_next_cause(dataset, base_fit, restarted.fit, candidates)

@@ -212,6 +212,7 @@ class _WorkClock:
 
 
 _WORK = _WorkClock()
+LOOP_WORK = 3  # samples of a tendon, in the time of one of a loop
 SAMPLES_PER_SECOND = 3e5  # that a search simulates, beside its other work (studies/results)
 
 
@@ -243,7 +244,7 @@ def simulate_record(
         Simulate some of the samples only.
     """
     samples = len(record.time if coarse is None else coarse.rows)
-    _WORK.add(2 * samples if record.loop else samples)  # a loop has two cables
+    _WORK.add(LOOP_WORK * samples if record.loop else samples)
     values = base.values(shared, own)
     effects = [pair for pair in effects if pair[0].is_active_in(context)]
     physics = build_plain_physics(record, base, values)
