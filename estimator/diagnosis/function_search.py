@@ -222,8 +222,11 @@ def _compute_penalty_rows(step: _LinearStep, roughness: float, mean: float) -> A
 
 @lru_cache
 def _build_penalty_rows(effect: Effect, roughness: float, mean: float) -> Array:
-    columns = (compute_penalty(tuple(row), effect, roughness, mean) for row in _build_units(effect))
-    return np.column_stack(list(columns))
+    shapes = (0.0,) * len(split_values(effect, effect.parameters)[0])
+    columns = [
+        compute_penalty((*shapes, *row), effect, roughness, mean) for row in _build_units(effect)
+    ]
+    return np.column_stack(columns)
 
 
 def _place_bumps(duration: float) -> Array:
