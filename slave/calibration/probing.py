@@ -186,7 +186,8 @@ def step(
     probe.lasted += dt
     _add_sample(constants[i], probe, tendons, i, dt)
     floor = probe.peak[i] * math.exp(-2.0 * constants[i].depth)
-    probe.pulls = probe.pulls or probe.tension[i] <= floor
+    # a stiff tendon falls far within the averaging's lag
+    probe.pulls = probe.pulls or min(probe.tension[i], tendons[i].corrected_tension) <= floor
     if probe.pulls and motor[i] >= probe.start:
         probe.finished, probe.last, probe.tendon, probe.rested = i, i, -1, 0.0
         return True
