@@ -206,8 +206,8 @@ def update_function(
     if not math.isnan(q):
         if not state.started or abs(q - state.position) > TRAVEL_JUMP_MAX:
             state.position = q
-        state.position += -math.expm1(-dt / SPEED_TIME_CONSTANT) * (q - state.position)
-        speed = (q - state.position) / SPEED_TIME_CONSTANT
+        speed = _average_speed(q - state.position, dt)
+        state.position += speed * dt
         state.started = True
     state.speed += -math.expm1(-dt / SPEED_TIME_CONSTANT) * (speed - state.speed)
     state.high_speed *= math.exp(-dt / HIGH_SPEED_TIME_CONSTANT)
@@ -288,15 +288,21 @@ def _estimate_sliding_speeds(state: DynamicState, plain_state: Array, q: float, 
     averages = state.contact_displacements[:]
     speeds = np.empty(NODES - 1)
     is_first = not state.learns
-    share = -math.expm1(-dt / SPEED_TIME_CONSTANT)
     contact_displacement = q
     for j in range(NODES - 1):
         contact_displacement -= plain_state[lumped_model.LENGTHS + j]
         if is_first:
             averages[j] = contact_displacement
-        averages[j] += share * (contact_displacement - averages[j])
-        speeds[j] = abs(contact_displacement - averages[j]) / SPEED_TIME_CONSTANT
+        speed = _average_speed(contact_displacement - averages[j], dt)
+        averages[j] += speed * dt
+        speeds[j] = abs(speed)
     return speeds
+
+
+@jit_compile
+def _average_speed(change: float, dt: float) -> float:
+    """Return the speed [m/s] of what is `change` [m] from its average: a steady one as it is."""
+    return -math.expm1(-dt / SPEED_TIME_CONSTANT) * change / dt if dt > 0.0 else 0.0
 
 
 @jit_compile

@@ -155,3 +155,12 @@ def test_a_rest_is_one_while_the_encoder_is_noisy():
     for q in 0.01 * np.minimum(time, 1.0) + noise:
         dynamic_correction.update_function(constants, state, 5.0, q, 0.001)
     assert state.rest_time == pytest.approx(5.0, abs=0.2)
+
+
+@pytest.mark.parametrize("dt", [0.001, 0.02])
+def test_a_steady_speed_is_itself_at_any_rate(dt):
+    constants = FunctionConstants.new(variable=int(FunctionVariable.SPEED), low=-1.0, high=1.0)
+    state = FunctionState.new()
+    for q in 0.01 * np.arange(0.0, 1.0, dt):
+        dynamic_correction.update_function(constants, state, 5.0, q, dt)
+    assert state.speed == pytest.approx(0.01, rel=1e-6)
