@@ -385,7 +385,14 @@ ISOLATED_EFFECTS: dict[str, frozenset[str]] = {
     KNOWN_TRAVEL: frozenset({"encoder_scale"}),
     PULLEY_TURNS: frozenset({"pulley_eccentricity", "cogging_ripple"}),
     BLOCKED_TIP: frozenset(
-        {"joint_friction", "joint_backlash", "antagonist_tension", "tip_inertia", "tip_moved"}
+        {
+            "joint_friction",
+            "joint_backlash",
+            "antagonist_tension",
+            "tip_contact",
+            "tip_inertia",
+            "tip_moved",
+        }
     ),
     TEMPERATURE_LOG: frozenset(
         {"thermal_expansion", "proximal_tension_drift", "distal_tension_drift", "friction_drift"}

@@ -9,6 +9,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
+    DISTAL_TENSION,
     PROXIMAL_DISPLACEMENT,
     PROXIMAL_TENSION,
     Effect,
@@ -27,6 +28,8 @@ TRAVEL = frozenset({PROXIMAL_DISPLACEMENT})
 BOTH_TRAVELS = frozenset({PROXIMAL_DISPLACEMENT, DISTAL_DISPLACEMENT})
 ONSET_COUNT = 16
 GRAVITY_PART = 0.3  # of a weight, to begin with: what friction lags behind all of it costs more
+CONTACT_SHARES = (0.3, 0.5, 0.7, 0.9)  # of the largest travel
+BEND_COUNT = 30  # places where tension over travel may bend
 DWELL_TIMES = (0.5, 1.0, 2.0, 4.0, 8.0)  # [s]
 
 PRETENSION = Effect(
@@ -114,6 +117,49 @@ ANTAGONIST_TENSION = Effect(
     advice="Read its load cell, and let it out further before you measure.",
     starts=lambda _: [(tension, 0.8, s) for tension in (0.2, 0.8) for s in (2e3, 1e4)],
     physics=_apply_antagonist,
+    required_channels=TRAVEL,
+)
+
+
+def _find_contact_starts(context: EffectContext) -> Iterable[Values]:
+    """Return contacts spread over the travel, and where tension over travel bends at the tip."""
+    measured = context.measured
+    reach = float(measured.get(DISTAL_DISPLACEMENT, measured[PROXIMAL_DISPLACEMENT]).max())
+    starts = [(share * reach, 0.8) for share in CONTACT_SHARES]
+    if not {DISTAL_TENSION, DISTAL_DISPLACEMENT} <= measured.keys():
+        return starts
+    rows = context.select_measured(DISTAL_TENSION) & context.select_measured(DISTAL_DISPLACEMENT)
+    tension, travel = measured[DISTAL_TENSION][rows], measured[DISTAL_DISPLACEMENT][rows]
+    best = (math.inf, 0.0, 0.0)
+    for bend in np.linspace(travel.min(), travel.max(), BEND_COUNT + 2)[1:-1]:
+        lines = np.column_stack([np.ones_like(travel), travel, np.maximum(travel - bend, 0.0)])
+        (zero, slope, rise), *_ = np.linalg.lstsq(lines, tension, rcond=None)
+        error = float(np.sum((lines @ (zero, slope, rise) - tension) ** 2))
+        if slope > 0.0 and rise > 0.0:
+            best = min(best, (error, float(zero / slope + bend), float(rise / (slope + rise))))
+    return [*starts, (max(best[1], 0.0), min(best[2], 0.99))] if best[2] > 0.0 else starts
+
+
+def _apply_contact(physics: Physics, values: Values, _context: EffectContext) -> Physics:
+    travel, hardness = values
+    if physics.tip_compliance <= 0.0:
+        return physics
+    stiffness = hardness / (1.0 - hardness) / physics.tip_compliance
+    return physics._replace(contact=travel, contact_stiffness=stiffness)
+
+
+TIP_CONTACT = Effect(
+    name="tip_contact",
+    cause="the tip meets something on its way: a stop, tissue, a wall",
+    equation="T_out = k q_d, and beyond the travel k/(1 - hardness) for each further metre",
+    parameters=(
+        Parameter("travel", "m", 0.0, 0.5, 5e-5, None),
+        Parameter("hardness", "", 0.0, 0.999, 0.02),
+    ),
+    source="Hooke, two springs side by side",
+    advice="No fault of the transmission; to see it alone, pull less far or take away what is met.",
+    starts=_find_contact_starts,
+    physics=_apply_contact,
     required_channels=TRAVEL,
 )
 
@@ -250,6 +296,7 @@ EFFECTS = (
     JOINT_BACKLASH,
     JOINT_FRICTION,
     ANTAGONIST_TENSION,
+    TIP_CONTACT,
     TIP_INERTIA,
     LINK_GRAVITY,
     TIP_MOVED,

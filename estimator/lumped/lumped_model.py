@@ -71,6 +71,8 @@ class Physics(NamedTuple):
     load_low: float = 0.0  # [N] at the tip, besides the spring, while it moves towards the tip
     load_high: float = 0.0  # [N] while it moves towards the housing
     load_stiffness: float = math.inf  # [N/m] with which one becomes the other
+    contact: float = 0.0  # [m] of q_d from which on the tip meets something
+    contact_stiffness: float = 0.0  # [N/m] of that; where the tip pulls at something
     mass: float = 0.0  # [kg] at the tip
     damping: float = 0.0  # [N s/m] at the tip
     start: float = 0.0  # [N] all along the tendon before the first sample
@@ -106,9 +108,11 @@ class _TipLoad(NamedTuple):
     low: float
     high: float
     stiffness: float
+    contact: float  # [m]
+    contact_stiffness: float
 
 
-_SCALARS = 28  # before the arrays in what `build_constants` returns
+_SCALARS = 30  # before the arrays in what `build_constants` returns
 VISCOSITY, STRIBECK = 1, 2  # among them
 CONSTANTS = _SCALARS + 4 * NODES - 1
 LAST_SHARE = CONSTANTS - 1  # of the tip's force, that its own node has
@@ -171,7 +175,8 @@ def build_constants(physics: Physics) -> Array:
     scalars = {name: getattr(p, name) for name in FrictionLaw._fields if name in p._fields}
     law = FrictionLaw(**scalars | {"toe": p.toe / p.compliance, "depth": plays.depth})
     stiffness = min(p.load_stiffness, _STIFFNESS_MAX)
-    tip_load = _TipLoad(p.tip_compliance, p.mass, p.damping, p.load_low, p.load_high, stiffness)
+    load = p.load_low, p.load_high, stiffness, p.contact, p.contact_stiffness
+    tip_load = _TipLoad(p.tip_compliance, p.mass, p.damping, *load)
     line = np.array([*law, *tip_load])
     weights, K = plays.weights * p.compliance, plays.depth * float(p.friction[0])
     return _pack_line(line, p.tip_compliance, weights, K, plays.tip_shares)
@@ -311,10 +316,10 @@ def _unpack_line(constants: Array) -> _Line:
         c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9],
         c[10], c[11], c[12], c[13], c[14], c[15], c[16], c[17], c[18], c[19], c[20],
     )  # fmt: skip
-    tip_load = _TipLoad(c[21], c[22], c[23], c[24], c[25], c[26])
+    tip_load = _TipLoad(c[21], c[22], c[23], c[24], c[25], c[26], c[27], c[28])
     weights, arrays = constants[_SCALARS : _SCALARS + NODES], constants[_SCALARS + NODES :]
     ratios, tip_shares = arrays[NODES : NODES + last], arrays[NODES + last :]
-    return _Line(law, tip_load, c[27], weights, arrays[:NODES], ratios, tip_shares)
+    return _Line(law, tip_load, c[29], weights, arrays[:NODES], ratios, tip_shares)
 
 
 @jit_inline
@@ -492,7 +497,10 @@ def _build_tip(
         c = compliance / (1.0 + compliance * (4.0 * mass / dt + 2.0 * damping) / dt)
         inertia_force = mass * (4.0 * (displacement / dt + v) / dt + a)
         inertia_force += damping * (2.0 * displacement / dt + v)
-    return Tip(c, inertia_force, offset, tip_load.low, tip_load.high, tip_load.stiffness, q, load)
+    return Tip(
+        c, inertia_force, offset, tip_load.low, tip_load.high, tip_load.stiffness,
+        tip_load.contact, tip_load.contact_stiffness, q, load,
+    )  # fmt: skip
 
 
 @jit_inline
@@ -551,15 +559,9 @@ def _solve_substeps(
         q, _slope, load = compute_tip_travel(tip, T_new[NODES - 1])
         if progress < 1.0:
             tip = Tip(
-                tip.compliance,
-                tip.inertia_force,
-                tip.offset,
-                tip.low,
-                tip.high,
-                tip.stiffness,
-                q,
-                load,
-            )
+                tip.compliance, tip.inertia_force, tip.offset, tip.low, tip.high, tip.stiffness,
+                tip.contact, tip.contact_stiffness, q, load,
+            )  # fmt: skip
     return tip, slope_in
 
 

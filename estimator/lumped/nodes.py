@@ -63,6 +63,8 @@ class Tip(NamedTuple):
     low: float
     high: float
     stiffness: float
+    contact: float  # [m] of q_d from which on it meets something
+    contact_stiffness: float  # [N/m] of that
     q_old: float  # q_d [m] one sample ago
     load: float  # [N] besides the spring, one sample ago
 
@@ -91,16 +93,30 @@ def compute_tip_travel(tip: Tip, tension: float) -> tuple[float, float, float]:
     c = tip.compliance
     if c <= 0.0:
         return tip.offset, 0.0, 0.0
+    q, slope, load = _compute_spring_travel(tip, c, tip.offset, tension)
+    if q > tip.contact and tip.contact_stiffness > 0.0:  # two springs side by side, as one
+        stiffness = 1.0 / c + tip.contact_stiffness
+        offset = (tip.offset / c + tip.contact_stiffness * tip.contact) / stiffness
+        q, slope, load = _compute_spring_travel(tip, 1.0 / stiffness, offset, tension)
+    return q, slope, load
+
+
+@jit_borrow
+def _compute_spring_travel(
+    tip: Tip, c: float, offset: float, tension: float
+) -> tuple[float, float, float]:
+    """Return what `compute_tip_travel` does, of one spring of compliance `c` [m/N]."""
+    force = tension + tip.inertia_force
     if tip.low == tip.high:
-        return c * (tension + tip.inertia_force - tip.low) + tip.offset, c, tip.low
+        return c * (force - tip.low) + offset, c, tip.low
     # held by its friction: (q - offset)/c = T + inertia_force - load - stiffness (q - q_old)
     slope = c / (1.0 + c * tip.stiffness)
-    q = tip.q_old + slope * (tension + tip.inertia_force - tip.load - (tip.q_old - tip.offset) / c)
+    q = tip.q_old + slope * (force - tip.load - (tip.q_old - offset) / c)
     load = tip.load + tip.stiffness * (q - tip.q_old)
     if load > tip.high:
-        return c * (tension + tip.inertia_force - tip.high) + tip.offset, c, tip.high
+        return c * (force - tip.high) + offset, c, tip.high
     if load < tip.low:
-        return c * (tension + tip.inertia_force - tip.low) + tip.offset, c, tip.low
+        return c * (force - tip.low) + offset, c, tip.low
     return q, slope, load
 
 

@@ -59,8 +59,9 @@ def solve_stick_slip(
     """
     last = len(T_old) - 1
     springs, known = _Springs(work[_SLOPE], work[_STIFFNESS], work[_REST]), work[KNOWN]
-    is_nonlinear = tendon.law.toe != 0.0 or tendon.law.compression != 0.0
-    if not steady or is_nonlinear or known[_SCALE] != tendon.scale:
+    has_bent_springs = tendon.law.toe != 0.0 or tendon.law.compression != 0.0
+    is_nonlinear = has_bent_springs or tip.low != tip.high or tip.contact_stiffness > 0.0
+    if not steady or has_bent_springs or known[_SCALE] != tendon.scale:
         known[_IS_KNOWN] = 0.0
     q_old = tip.q_old
     for j in range(last + 1):
@@ -72,14 +73,14 @@ def solve_stick_slip(
     converged = False
     free_slope, free_rest = (springs.slope[last], springs.T_rest[last])  # without what it pulls at
     for _ in range(6 * last):
-        if is_nonlinear:
+        if has_bent_springs:
             _linearise_springs(tendon, lengths, T_new, springs)
             known[_IS_KNOWN] = 0.0
             free_slope, free_rest = springs.slope[last], springs.T_rest[last]
         _add_tip(tip, T_new[last], free_slope, free_rest, springs)
         _solve_slips(tendon, springs, drive, direction, work, slip)
         change = _update_tensions(springs, drive, slip, T_new)
-        converged = not ((is_nonlinear or tip.low != tip.high) and change > 1e-9)
+        converged = not (is_nonlinear and change > 1e-9)
         if _correct_guesses(tendon, T_new, slip, direction):
             converged = False
         if converged and not drive.free and T_new[0] < 0.0:  # slack: its end goes where it likes

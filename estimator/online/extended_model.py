@@ -75,6 +75,7 @@ OMISSION_REASONS = {
     "joint_backlash": _REASON_TIP,
     "joint_friction": _REASON_TIP,
     "antagonist_tension": _REASON_TIP,
+    "tip_contact": _REASON_TIP,
     "tip_inertia": _REASON_TIP,
     "link_gravity": _REASON_TIP,
     "sensor_lag": _REASON_LATE,

@@ -66,6 +66,8 @@ class Tip(NamedTuple):
     friction: float = 0.0  # [N]
     mass: float = 0.0  # [kg]
     damping: float = 0.0  # [N s/m]
+    stop: float = 0.0  # [m] from where on it is held by a second spring
+    stop_stiffness: float = 0.0  # [N/m] of that
 
 
 class State(NamedTuple):
@@ -198,12 +200,16 @@ def _solve(system):
 
 
 @jit_compile
-def _hold(tip, state, before, wall, dt):
-    """Return a and b of the bench's force a x - b on a sprung tip at x, by Newmark's rule."""
+def _hold(tip, state, before, at, wall, dt):
+    """Return a and b of the bench's force a x - b on a sprung tip at x, by Newmark's rule.
+
+    `at` [m] is where it is about: beyond the stop, or not.
+    """
     inertia, damping = 4.0 * tip.mass / dt**2, 2.0 * tip.damping / dt
     b = (inertia + damping) * before + tip.stiffness * wall
     b += (4.0 * tip.mass / dt + tip.damping) * state.body[0] + tip.mass * state.body[1]
-    return tip.stiffness + inertia + damping, b
+    stop = tip.stop_stiffness if at > wall + tip.stop else 0.0
+    return tip.stiffness + inertia + damping + stop, b + stop * (wall + tip.stop)
 
 
 @jit_compile
@@ -288,9 +294,9 @@ def _balance(line, law, tip, state, outside, dt):
     """
     n, x = len(line.friction), state.x
     before, k, system = x.copy(), np.empty(n - 1), np.empty((4, n))
-    hold = _hold(tip, state, before[line.tip], outside[1], dt)
     _stretch(line, law, state, outside, dt, k)
     for _ in range(4 * n):
+        hold = _hold(tip, state, before[line.tip], x[line.tip], outside[1], dt)
         _equations(line, law, tip, state, k, before, hold, outside, dt, system)
         _solve(system)
         x += system[3]

@@ -247,6 +247,20 @@ def antagonist_tension(plant, tension, K):
 
 
 @effect(
+    "stiffness",
+    lambda r, s: {
+        "stiffness": vary(r, 3.0) * s.stiffness,
+        "travel": r.uniform(0.3, 0.7) * s.clean["distal_displacement"].max(),
+    },
+    benches=("spring",),
+)
+def tip_contact(plant, stiffness, travel):
+    plant.tip = plant.tip._replace(stop=travel, stop_stiffness=stiffness)
+    ratio = stiffness / plant.tip.stiffness
+    return {"hardness": ratio / (1.0 + ratio)}
+
+
+@effect(
     "damping mass",
     lambda r, s: {
         "damping": vary(r, 0.06) * s.stiffness,

@@ -90,6 +90,8 @@ FORMULAS = {
     "joint_friction": r"T(K) = q_d/c + \mathrm{friction}\;\mathrm{sgn}\,\dot q_d",
     "antagonist_tension": r"T(K) = q_d/c + \mathrm{tension}\,(e^{\sigma} - 1), \quad"
     r" -K_2 \leq \sigma \leq K_2",
+    "tip_contact": r"T(K) = q_d/c + \frac{\mathrm{hardness}}{1 - \mathrm{hardness}}\,"
+    r"\max(q_d - \mathrm{travel},\,0)/c",
     "tip_inertia": r"T(K) = q_d/c + \mathrm{damping}\;\dot q_d + \mathrm{mass}\;\ddot q_d",
     "link_gravity": r"T(K) = q_d/c + \mathrm{sine}\,\sin q_p + \mathrm{cosine}\,\cos q_p - w\,q_p,"
     r" \quad w^2 = \mathrm{sine}^2 + \mathrm{cosine}^2",

@@ -29,7 +29,7 @@ def diagnosed(seed, hide, bench, channels=hidden_effects.CHANNELS, among=NAMES):
 
 
 def test_every_effect_is_hidden_somewhere():
-    assert len(NAMES) == 36
+    assert len(NAMES) == 37
     elsewhere = {"distributed_play", "link_gravity"}  # test_distributed_play, test_loops
     assert set(NAMES) == {*hidden_effects.EFFECTS, *elsewhere}
 
@@ -42,6 +42,16 @@ def test_a_hidden_effect_is_named():
     assert found.verdict in {Verdict.NAMED, Verdict.AMBIGUOUS}
     for channel, noise in found.noise.items():
         assert found.after.held_out[channel].rmse < 1.3 * noise
+
+
+def test_a_tip_that_meets_a_stop_is_not_taken_for_one_that_was_moved():
+    made, found = diagnosed(
+        5002, "tip_contact", "spring", among={"tip_contact", "tip_moved", "joint_friction"}
+    )
+    assert (found.verdict, found.causes) == (Verdict.NAMED, ("tip_contact",))
+    true = made.truth["tip_contact"]
+    for name in ("travel", "hardness"):
+        assert found.parameters[f"tip_contact.{name}"].value == pytest.approx(true[name], rel=0.1)
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from estimator.lumped.lumped_model import (
     simulate_by_travel,
 )
 from estimator.lumped.nodes import PLACES, build_even_weights
+from studies import hidden_effects
 from studies.brute_force.chain import Chain, Force, Position, Spring
 
 K, LENGTH, EA = 0.9, 1.5, 9e3
@@ -201,3 +202,25 @@ def test_what_a_step_keeps_for_the_next_changes_no_bit(effect):
     tendon = DrivenTendon(driven, TIME)
     one_by_one = [tendon.drive_by_travel(travel[: i + 1], i)[0] for i in range(len(TIME))]
     np.testing.assert_array_equal(one_by_one, at_once)
+
+
+@pytest.mark.parametrize("seed", [5001, 5004])
+def test_a_tip_that_meets_a_stop_is_that_of_a_chain_of_beads(seed):
+    made = hidden_effects.make(seed, "tip_contact", bench="spring", duration=20.0, rate=50.0)
+    sheath, stop = made.truth["sheath"], made.truth["tip_contact"]
+    tendon = Physics(
+        np.array([sheath["K"]]),
+        sheath["L"] / sheath["EA"],
+        build_even_weights(),
+        tip_compliance=1.0 / sheath["k"],
+    )
+    contact = {"contact": stop["travel"], "contact_stiffness": stop["stiffness"]}
+    travel = made.channels["proximal_displacement"]
+    speed = np.gradient(travel, made.time)
+
+    def miss(**changes):
+        done = simulate_by_travel(tendon._replace(**changes), made.time, travel, speed)
+        return float(np.std(done.proximal_tension - made.channels["proximal_tension"]))
+
+    assert miss(**contact) < 0.03  # of which 0.02 are noise
+    assert miss() > 1.0
