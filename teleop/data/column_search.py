@@ -161,7 +161,7 @@ def find_columns(
 def _explain_missing(item: str, units: Mapping[str, str], names: Sequence[str]) -> str:
     """Return what to do about a column that must be there; those that may be it are proposed."""
     if item == "time":
-        return f"; name it by --column '{_propose(item, units, names)}', or give --rate HZ"
+        return f"; name it by --column '{_propose_column(item, units, names)}', or give --rate HZ"
     if item != "proximal_tension":
         return ""
     return (
@@ -195,11 +195,11 @@ def format_proposals(
     `units` are those of a row below the names, by column; `known` are channels not to be proposed.
     """
     items = [f"{end}_{what}" for what in ("tension", "displacement") for end in _END_WORDS]
-    proposed = (_propose(item, units, names) for item in items if item not in known)
+    proposed = (_propose_column(item, units, names) for item in items if item not in known)
     return " ".join(f"--column '{each}'" for each in proposed if "=COLUMN" not in each)
 
 
-def _propose(item: str, units: Mapping[str, str], names: Sequence[str]) -> str:
+def _propose_column(item: str, units: Mapping[str, str], names: Sequence[str]) -> str:
     """Return the option for a channel, with the column that may be it, if there is one.
 
     Names tell the end or none; one that tells none may be that at the housing.
