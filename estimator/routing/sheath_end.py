@@ -170,13 +170,16 @@ def drive_sheath_end(
     `elements` are of `begin_advance`, `tensions` [N] those of all rows before this step. What
     slides in the sheath grows with the change, e = g (l u + w u^2 / (2 (1 + rho))), until it meets
     what slid before; hence steps short of it, and one up to where it meets what slid the same way
-    before the last reversal.
+    before the last reversal. What is not finite moves nothing.
     """
     tables, profile = prepared.tables[:], end.profile[:]
     K, rho, EA = tables[_K], tables[_ASYMMETRY], tables[_EA]
     T = read_profile(tables, profile)[1]
     slip, slope = compute_excess_slip(routing, tendon, tensions, elements, T)
     left = wanted = end.stretch - slip
+    if not math.isfinite(wanted):
+        end.stretch = 0.0
+        return T
     if wanted * slip >= 0.0:  # it went too far before
         end.stretch = wanted
         return T
@@ -207,7 +210,7 @@ def drive_sheath_end(
             y = u + math.copysign(change, wanted)
             T = from_log_tension(tables, y)
             slip, slope = compute_excess_slip(routing, tendon, tensions, elements, T)
-            if abs(slip - slip_before) <= abs(left):
+            if not abs(slip - slip_before) > abs(left):  # ends with NaN, too
                 break
             change *= _STEP_SHARE
         drive_end(tables, profile, y, TIP)

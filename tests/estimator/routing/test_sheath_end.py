@@ -149,6 +149,19 @@ def test_a_sample_that_is_not_finite_leaves_the_next_ones_finite():
         assert np.isfinite(arm.excess).all()
 
 
+@pytest.mark.parametrize("stretch", [np.nan, np.inf, -np.inf])
+def test_a_stretch_that_is_not_finite_leaves_the_tension_where_it_is(stretch):
+    arm = PairInArm(prepare(TendonModel(SHEATH, initial=PRETENSION)), SPAN)
+    before = arm.turn(1e-4)
+    elements = begin_advance(arm.routing, arm.tensions, arm.angles, arm.angles)
+    for i in range(2):
+        end = arm.pair.end[i]
+        end.stretch = stretch
+        found = drive_sheath_end(arm.model, end, arm.routing, elements, i, arm.tensions[0])
+        assert found == pytest.approx(before[i], rel=1e-6)
+    assert np.isfinite(arm.turn(2e-4)).all()
+
+
 def test_tips_that_stick_keep_their_tension_while_the_motors_sway():
     """By less than friction holds back; noise of the load cells is no motion of the tips."""
     noise, random = 0.02, np.random.default_rng(7)
